@@ -71,7 +71,7 @@ def _finished(case: Case, workshop: Workshop) -> tuple[GridMap, RoomTruth | None
     """The drawing of a building, else the map that the robot made of it."""
     if case.drawing is not None:
         return case.drawing.plan, case.drawing.rooms
-    return workshop.built(case, OURS).finished.regions.grid, None
+    return workshop.built(case, OURS).finished.laid.regions.grid, None
 
 
 def _row(told: Told) -> Row:

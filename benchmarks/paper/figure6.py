@@ -120,13 +120,12 @@ def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
     labels = [localizer.add(scan).label for scan in workshop.recording(again).scans]
     given = true_poses(case.truth, built.store, of_laser=False)
     known = np.isfinite(given[:, 0])
-    moved: Pose2 = nearest_motion(given[known, :2], finished.labels.poses[known, :2])
-    keyframes = finished.labels.poses, finished.labels.submaps
+    moved: Pose2 = nearest_motion(given[known, :2], finished.laid.labels.poses[known, :2])
     stamps = np.array([label.stamp_ns for label in labels])
     joined, rows = associate(reference.stamps_ns, stamps, 5_000_000)
     places = np.full((len(labels), 3), np.nan)
     places[joined] = compose(np.array(moved), reference.poses[rows])
-    return Asked(labels, revisit(labels, reference, keyframes, moved), places)
+    return Asked(labels, revisit(labels, reference, finished.laid.labels, moved), places)
 
 
 def _classifiers_alone(
@@ -142,9 +141,9 @@ def _classifiers_alone(
 
 def _localizer(built: Built) -> Localizer:
     finished, settings = built.finished, built.config.localization
-    divided, classifiers = finished.regions, finished.classifiers
-    numbers = along_way(finished.labels.poses)
-    own = partial(placed, built.store, numbers.tolist(), finished.labels.poses[numbers])
+    divided, classifiers = finished.laid.regions, finished.classifiers
+    numbers = along_way(finished.laid.labels.poses)
+    own = partial(placed, built.store, numbers.tolist(), finished.laid.labels.poses[numbers])
     walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
     return Localizer(classifiers, adjacency, walls, settings)
@@ -160,7 +159,7 @@ def _picture(case: Case, preset: str, built: Built, asked: Asked) -> Picture:
         asked.places,
         submaps,
         f"{case.name}: {WORDS[preset]}, {kind}",
-        map_with_regions=(finished.topology, finished.regions),
+        map_with_regions=(finished.topology, finished.laid.regions),
         truth=asked.result.truth,
     )
     return Picture(pictures.shrunk(image), f"{case.name}: {WORDS[preset]}, {kind}")

@@ -25,7 +25,7 @@ def first_return(case: Case, preset: str, workshop: Workshop) -> Gallery | None:
     merge = min(merges, key=lambda closure: max(left[closure.new], left[closure.old]))
     seen = max(left[merge.new], left[merge.old]) + 1
     whole = workshop.built(case, OURS)  # its layout: the paper lays nothing out
-    poses = whole.finished.labels.poses[:seen]
+    poses = whole.finished.laid.labels.poses[:seen]
     grid = integrate_keyframes(whole.store, range(seen), poses, whole.config.grid).snapshot()
     shown = []
     for merged, words in (
@@ -34,7 +34,7 @@ def first_return(case: Case, preset: str, workshop: Workshop) -> Gallery | None:
     ):
         submaps = online_labels(explored.regions, merged, len(whole.store))[:seen]
         count = len(np.unique(submaps[submaps != NO_SUBMAP]))
-        labels = replace(whole.finished.labels, poses=poses, submaps=submaps)
+        labels = replace(whole.finished.laid.labels, poses=poses, submaps=submaps)
         shown.append(
             Picture(
                 pictures.topology(grid, labels, pictures.links(submaps)),

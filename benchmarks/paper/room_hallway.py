@@ -40,10 +40,10 @@ def make(workshop: Workshop) -> list[Block]:
         built = workshop.built(case, OURS)
         predicted = _predicted(drawing, built)
         told[case.name] = _scores(case, built, predicted), len(predicted)
-        labels = replace(built.finished.labels, submaps=predicted)
+        labels = replace(built.finished.laid.labels, submaps=predicted)
         shown.append(
             Picture(
-                pictures.kinds(built.finished.regions.grid, labels),
+                pictures.kinds(built.finished.laid.regions.grid, labels),
                 f"{case.name}: where most scans are taken for a room (green) or a hallway (pink)",
             )
         )
@@ -76,7 +76,7 @@ def _scores(case: Case, built: Built, predicted: IntArray) -> SemanticResult:
         rooms = case.drawing.rooms
         places = true_poses(case.truth, built.store, of_laser=False)
         truth = kinds_of(rooms.at(places), hallways(rooms))
-    submaps, joined = built.finished.labels.submaps, built.finished.topology.joined
+    submaps, joined = built.finished.laid.labels.submaps, built.finished.topology.joined
     return semantic_scores(predicted, truth, submaps, joined)
 
 

@@ -38,15 +38,10 @@ class Samples:
 
 def samples_of(built: Built, feature_set: str) -> tuple[Samples, Samples]:
     """The scans of a map and those held out of it, whose truth is the nearest keyframe's submap."""
-    labels = built.finished.labels
     poses = poses_at(built.finished, built.held_out.stamps_ns)
-    return (
-        of_keyframes(built, feature_set),
-        Samples(
-            _features(built.held_out, feature_set),
-            nearest_labels(poses, labels.poses, labels.submaps),
-        ),
-    )
+    truth = nearest_labels(poses, built.finished.laid.labels)
+    held_out = Samples(_features(built.held_out, feature_set), truth)
+    return of_keyframes(built, feature_set), held_out
 
 
 def the_papers(rounds: int | None = None) -> RecognitionConfig:
@@ -70,7 +65,7 @@ def scored(classifiers: OneVsAll, asked: Samples) -> ClassificationScores:
 
 def of_keyframes(built: Built, feature_set: str) -> Samples:
     """The scans of a map."""
-    return Samples(_features(built.store, feature_set), built.finished.labels.submaps)
+    return Samples(_features(built.store, feature_set), built.finished.laid.labels.submaps)
 
 
 def _features(store: KeyframeStore, feature_set: str) -> FeatureArray:

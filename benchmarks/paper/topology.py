@@ -72,10 +72,10 @@ def _found(closed: Mapping[str, Sequence[Judged]]) -> Found:
 
 def _pictures(case: Case, preset: str, workshop: Workshop) -> list[Picture]:
     """Before and after, on the layout of our own map: the paper lays nothing out."""
-    built, ours = workshop.built(case, preset), workshop.built(case, OURS).finished
+    built, ours = workshop.built(case, preset), workshop.built(case, OURS).finished.laid
     explored, count = built.explored, len(built.store)
     before = online_labels(explored.regions, (), count)
-    after = built.finished.labels.submaps
+    after = built.finished.laid.labels.submaps
     return [
         Picture(
             pictures.topology(
@@ -96,7 +96,7 @@ def _judged(case: Case, built: Built) -> Judged:
 
 
 def _row(case: Case, preset: str, built: Built, found: Judged) -> Row:
-    labels: Labels = built.finished.labels
+    labels: Labels = built.finished.laid.labels
     metres, degrees = found.median
     error = "–" if not len(found.errors) else f"{100.0 * metres:.1f} cm, {degrees:.2f}°"
     return Row(

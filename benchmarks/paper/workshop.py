@@ -11,11 +11,11 @@ from benchmarks.paper.cases import Case, Cases, Drawing
 from specmap_cli.core.config import load_config
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation.protocols import HoldingOut, HoldOut, HoldOutResult, score_hold_out
+from specmap_cli.evaluation.protocols import HoldOut, HoldOutResult, holding_out, score_hold_out
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.pipelines.build import explore
+from specmap_cli.pipelines.build import Accepts, explore
 from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.finishing import finish
 from specmap_cli.pipelines.laying_out import lay_out
@@ -131,9 +131,9 @@ def _build(
     config = load_config(preset=preset)
     session = Session(config, store)
     tests: list[Test] = []
-    accepts = KeyframeSelector(config.keyframes).accepts
+    accepts: Accepts = KeyframeSelector(config.keyframes).accepts
     if held_out is not None:
-        accepts = HoldingOut(config.keyframes, held_out, aside).accepts
+        accepts = holding_out(config.keyframes, held_out, aside)
     explored = explore(recording.scans, Exploration(session, _noting(tests)), accepts)
     laid = lay_out(session, explored, recording.tracking, "recording")
     finished = finish(session, laid, Prior(explored.features))

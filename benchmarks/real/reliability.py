@@ -65,8 +65,7 @@ class Told:
 def of_held_out(built: Built) -> Told:
     """The labels of the scans that were held out of a map."""
     finished, held_out = built.finished, built.held_out
-    keyframes = finished.labels.poses, finished.labels.submaps
-    truth = nearest_labels(poses_at(finished, held_out.stamps_ns), *keyframes)
+    truth = nearest_labels(poses_at(finished, held_out.stamps_ns), finished.laid.labels)
     return Told.of(labels_of(finished, built.store, held_out, built.config), truth)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ from specmap_cli.core.errors import LogError, NoResultError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import IntArray, PosedScan, Trajectory
+from specmap_cli.core.records import IntArray, Labels, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig, LimitsConfig
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
@@ -28,7 +29,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.text_files import read_tum
-from specmap_cli.pipelines.build import build_map, map_log
+from specmap_cli.pipelines.build import Accepts, build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
 from specmap_cli.pipelines.map_in_making import FinishedMap
 from specmap_cli.pipelines.session import Session
@@ -72,10 +73,7 @@ class ClassificationScores:
 
     @property
     def precision_of(self) -> dict[int, float]:
-        """Share of the scans labelled so that are of the class; nought when it was never called.
-
-        Of the classes with scans only: another cannot be right.
-        """
+        """Share of the scans labelled so that are of the class, 0 if it was never called."""
         called = self.confusion.sum(axis=0)
         return {
             i: float(self.confusion[k, k] / called[k]) if called[k] else 0.0
@@ -177,10 +175,7 @@ class HoldOutResult:
 
 @one_blas_thread()
 def hold_out(
-    logs: Sequence[Path],
-    config: Config,
-    options: HoldOut,
-    progress: Progress | None = None,
+    logs: Sequence[Path], config: Config, options: HoldOut, progress: Progress | None = None
 ) -> HoldOutResult:
     """Build a map without a share of the keyframes, then label these (Table II of the paper).
 
@@ -189,36 +184,28 @@ def hold_out(
     Raises LogError and NoResultError as `build` does, NoResultError when nothing was held out.
     """
     progress = progress or Silent()
-    with (
-        open_log(logs, config.log) as log,
-        KeyframeStore() as store,
-        KeyframeStore() as held_out,
-    ):
-        selector = HoldingOut(config.keyframes, options, held_out)
-        stream = SweepStream(log, config.log)
+    with open_log(logs, config.log) as log, KeyframeStore() as store, KeyframeStore() as held_out:
+        accepts = holding_out(config.keyframes, options, held_out)
         session = Session(config, store, progress)
-        finished = map_log(session, stream, accepts=selector.accepts)
+        finished = map_log(session, SweepStream(log, config.log), accepts=accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)
 
 
-class HoldingOut:
-    """A selector of keyframes that lays some of them aside in a store: for evaluation only."""
+def holding_out(config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> Accepts:
+    """What selects keyframes and lays some of them aside in a store: for evaluation only."""
+    selector, numbers = KeyframeSelector(config), count()
 
-    def __init__(self, config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> None:
-        self._selector, self._options, self._held_out = KeyframeSelector(config), options, held_out
-        self._accepted = 0
-
-    def accepts(self, scan: PosedScan) -> bool:
-        """Whether `scan` is a keyframe of the map."""
-        if not self._selector.accepts(scan):
+    def accepts(scan: PosedScan) -> bool:
+        if not selector.accepts(scan):
             return False
-        held_out = self._options.holds(self._accepted)
-        self._accepted += 1
-        if held_out:
-            self._held_out.append(scan)
-        return not held_out
+        if not options.holds(next(numbers)):
+            return True
+        held_out.append(scan)
+        return False
+
+    return accepts
 
 
 def score_hold_out(
@@ -227,13 +214,13 @@ def score_hold_out(
     """Label the keyframes of a finished map and those held out."""
     classifiers = finished.classifiers
     ids = classifiers.ids
-    poses = poses_at(finished, held_out.stamps_ns)
-    truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
+    labels = finished.laid.labels
+    truth = nearest_labels(poses_at(finished, held_out.stamps_ns), labels)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
     filtered = [label.filtered_submap for label in labels_of(finished, store, held_out, config)]
     return HoldOutResult(
-        classification_scores(finished.labels.submaps, train, ids),
+        classification_scores(labels.submaps, train, ids),
         classification_scores(truth, test, ids),
         classification_scores(truth, filtered, ids),
     )
@@ -242,15 +229,13 @@ def score_hold_out(
 def labels_of(
     finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
 ) -> list[Label]:
-    """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
-    a gap.
-    """
+    """The labels of held-out scans in turn; the filter starts afresh after a gap."""
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    divided, settings = finished.regions, config.localization
-    numbers = along_way(finished.labels.poses)
-    own = partial(placed, store, numbers.tolist(), finished.labels.poses[numbers])
+    divided, settings = finished.laid.regions, config.localization
+    numbers = along_way(finished.laid.labels.poses)
+    own = partial(placed, store, numbers.tolist(), finished.laid.labels.poses[numbers])
     walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     localizer = Localizer(classifiers, adjacency, walls, settings)
     labels: list[Label] = []
@@ -270,12 +255,10 @@ def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:
     return winners
 
 
-def nearest_labels(
-    places: FloatArray, known: FloatArray, labels: NDArray[Any], reach_m: float = _TRUTH_REACH_M
-) -> IntArray:
-    """(n,) label of the known place (k, 2 or 3) nearest each place, -1 where none is in reach."""
-    distance, nearest = cKDTree(known[:, :2]).query(places[:, :2])
-    return np.where(distance <= reach_m, np.asarray(labels)[nearest], -1).astype(np.int64)
+def nearest_labels(places: FloatArray, known: Labels) -> IntArray:
+    """(n,) submap of the keyframe nearest to each place (n, 2 or 3), -1 where none is in reach."""
+    distance, nearest = cKDTree(known.poses[:, :2]).query(places[:, :2])
+    return np.where(distance <= _TRUTH_REACH_M, known.submaps[nearest], -1).astype(np.int64)
 
 
 def poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
@@ -301,14 +284,14 @@ class RevisitResult:
 def revisit(
     labels: Sequence[Label],
     reference: Trajectory,
-    keyframes: tuple[FloatArray, IntArray],
+    keyframes: Labels,
     map_from_reference: Pose2 = IDENTITY,
 ) -> RevisitResult:
     """Score the labels of another log by given poses (Figure 6 of the paper).
 
     `reference` holds poses of the robot on the second log, which `map_from_reference` takes to the
-    map; `keyframes` poses (k, 3) and submaps (k,) of the map. Scans more than a metre from every
-    keyframe are left out. Raises LogError when no scan has a pose.
+    map; `keyframes` are those of the map. Scans more than a metre from all of them are left out.
+    Raises LogError when no scan has a pose.
     """
     stamps = np.array([label.stamp_ns for label in labels], dtype=np.int64)
     joined, rows = associate(reference.stamps_ns, stamps, STAMP_REACH_NS)
@@ -316,8 +299,8 @@ def revisit(
         raise LogError("no scan of the log has a given pose: the stamps do not meet within 50 ms")
     places = map_from_reference.apply(reference.poses[rows, :2])
     truth = np.full(len(labels), -1, dtype=np.int64)
-    truth[joined] = nearest_labels(places, *keyframes)
-    ids = np.unique(keyframes[1][keyframes[1] >= 0]).tolist()
+    truth[joined] = nearest_labels(places, keyframes)
+    ids = np.unique(keyframes.submaps[keyframes.submaps >= 0]).tolist()
     return RevisitResult(
         classification_scores(truth, [label.submap for label in labels], ids),
         classification_scores(truth, [label.filtered_submap for label in labels], ids),
@@ -362,12 +345,8 @@ def revisit_logs(
             )
         reference = read_tum(references[1])
         report = localize_log([Path(second)], stored, config, progress=progress)
-        return revisit(
-            [scan.label for scan in report.scans],
-            reference,
-            (stored.labels.poses, stored.labels.submaps),
-            map_from_reference,
-        )
+        labels = [scan.label for scan in report.scans]
+        return revisit(labels, reference, stored.labels, map_from_reference)
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:

@@ -88,10 +88,7 @@ def kinds_of(labels: NDArray[Any], corridors: set[int]) -> IntArray:
 
 
 def semantic_scores(
-    predicted: IntArray,
-    truth: IntArray,
-    submaps: NDArray[Any],
-    borders: Iterable[tuple[int, int]],
+    predicted: IntArray, truth: IntArray, submaps: NDArray[Any], borders: Iterable[tuple[int, int]]
 ) -> SemanticResult:
     """Score predicted kinds (n,) against true ones (n,), -1 where not known.
 
@@ -149,7 +146,7 @@ def room_hallway(
         finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
         predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
-    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
+    return semantic_scores(predicted, truth, finished.laid.labels.submaps, finished.topology.joined)
 
 
 def _scans_of(

@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import (
-    FloatArray,
-    compose,
-    invert,
-    nearest_motion,
-    travelled,
-)
+from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion, travelled
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.maps.text_files import stamped_rows
 
@@ -55,10 +49,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelativeErrors:
-    """Errors of relative poses: translations in metres, rotations in degrees.
-
-    `matched` of `total` pairs could be compared.
-    """
+    """Errors of relative poses, metres and degrees; `matched` of `total` pairs were compared."""
 
     translation_m: Spread
     rotation_deg: Spread

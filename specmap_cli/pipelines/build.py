@@ -152,11 +152,7 @@ def explore(scans: Iterable[PosedScan], exploration: Exploration, accepts: Accep
 
 
 def _pictures(folder: Path, config: Config, *, overwrite: bool) -> Observer:
-    """An observer that draws every test that may split a submap: test_0001.png, test_0002.png, ...
-
-    Raises UsageError when the directory cannot be made, or holds pictures of an earlier run that
-    are not to be overwritten.
-    """
+    """An observer that draws each test as test_0001.png, ...; UsageError where it cannot write."""
     from specmap_cli.drawing.split_tests import draw_test
     from specmap_cli.grids.map_server import write_png
 

@@ -29,7 +29,7 @@ from specmap_cli.maps.edits import (
 )
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.identity import Redrawn, redrawn
-from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
+from specmap_cli.topology.navigation import Shut, shut_by, with_detours, with_shut
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
     BorderEdit,
@@ -188,8 +188,8 @@ def named(
     refused = dict(skipped)  # why a change does not apply, by its place
     for place, change in enumerate(edits.changes):
         if isinstance(change, ForbidEdit):
-            later = tuple(topology.borders[made:])  # made after it was said
-            found = shut_by(topology, Forbidden(change.forbid, change.at, later))
+            later = topology.borders[made:]  # made after it was said
+            found = shut_by(topology, change.forbid, change.at, later)
             if isinstance(found, str):
                 refused[place] = found
             else:

@@ -107,10 +107,7 @@ class Exploration:
         )
 
     def _accept(self, closures: Iterable[Closure]) -> None:
-        """Remember what was considered; what was recognised becomes one submap.
-
-        Of two regions what was found last is told.
-        """
+        """Remember what was considered, of each pair what came last; merge what was recognised."""
         for closure in closures:
             pair = min(closure.old, closure.new), max(closure.old, closure.new)
             self._closures.pop(pair, None)

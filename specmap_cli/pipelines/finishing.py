@@ -22,7 +22,7 @@ from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.edits import drawn, named
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
-from specmap_cli.pipelines.reports import RunRecord
+from specmap_cli.pipelines.reports import run_record
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.quality.findings import NARROW, narrow_links
@@ -40,22 +40,20 @@ def finish(
     known from before.
     """
     laid, skipped = with_borders(laid)
-    labels, starts, stamps_ns = laid.labels, laid.starts, laid.labels.stamps_ns.tolist()
-    learned = learn(session, labels.submaps, labels.poses, prior, starts)
+    labels, starts = laid.labels, laid.starts
+    learned = learn(session, labels, prior, starts)
     give_memory_back()
     with session.clock.stage("ways"):
         linked = build_topology(
-            labels=labels.submaps,
-            poses=labels.poses,
-            stamps_ns=stamps_ns,
+            labels=labels,
             breaks=[
                 Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
                 for keyframe, bridge in sorted(laid.breaks.items())
-                if keyframe < len(stamps_ns)  # none came after the last of them
+                if keyframe < len(laid)  # none came after the last of them
                 and keyframe not in starts
             ],
             closures=laid.closures,
-            stays=stays_of(laid.stays, labels.submaps, stamps_ns),
+            stays=stays_of(laid.stays, labels),
             grids=learned.grids,
             starts=starts,
         )
@@ -101,14 +99,13 @@ def write_made(
     finished: FinishedMap,
     inputs: Sequence[Path],
     selection: Selection | None = None,
-    updates: tuple[Any, ...] | None = None,
-    like: str | None = None,
+    **made_by: Any,
 ) -> Mapping[str, Any]:
     """Write a map that was made of `inputs` into an empty directory; returns its run.json.
 
     Before it is told which edits do not apply, what is grave, and what is worth knowing of it, but
     for what was told of the `selection` when the log was opened. What follows `inputs` is as in
-    `RunRecord`.
+    `run_record`.
     """
     for line in finished.unapplied:
         session.progress.note(f"{filenames.EDITS}: not applied: {line}")
@@ -122,7 +119,7 @@ def write_made(
         session,
         directory,
         finished,
-        lambda: RunRecord.of(session, finished, inputs, selection, updates, like).document(),
+        lambda: run_record(session, finished, inputs, selection, **made_by),
     )
 
 

@@ -138,10 +138,7 @@ def write_history(
 
 
 def _found(paths: Sequence[Path | str]) -> Iterator[Path]:
-    """Map directories: those named, and all that lie in other directories.
-
-    Hidden ones are left out: maps are written there, or were when their run was killed.
-    """
+    """Map directories: those named, and those in others; hidden ones are unfinished."""
     for given in paths:
         path = path_of(given, "maps")
         found = sorted(path.rglob(filenames.TOPOLOGY)) if path.is_dir() else []
@@ -217,10 +214,7 @@ class Entry:
 
 
 class _Building:
-    """The maps of a building so far: its rooms by number, its tours, the map taken in last.
-
-    Only the last map and those that showed rooms first (`_plans`) are held, never all of a series.
-    """
+    """The maps of a building so far; only the last and those with new rooms (`_plans`) are held."""
 
     def __init__(self, number: int, path: Path, first: Map, zone: tzinfo) -> None:
         self.path, self._zone = path, zone
@@ -256,10 +250,7 @@ class _Building:
         return True
 
     def record(self, number: int) -> BuildingRecord:
-        """The building as history.json has it.
-
-        It is called as the directory of its first map, or that of the job which made it.
-        """
+        """The building as history.json has it, called as the directory of its first map or job."""
         path = self.path.resolve()
         named = path.parent if of_a_job(path) else path
         return BuildingRecord(

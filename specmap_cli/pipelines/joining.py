@@ -20,7 +20,6 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import join_layouts, placed
-from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.edits import (
     Change,
     Edits,
@@ -34,7 +33,7 @@ from specmap_cli.pipelines.laying_out import constraints_of, refute
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.alignment import Joint
-from specmap_cli.topology.graph import Heritage, inherited
+from specmap_cli.topology.graph import inherited
 from specmap_cli.topology.identity import undone
 
 _JOINED = "the maps were joined here"
@@ -182,17 +181,14 @@ def inherit(
     """
     there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.labels.submaps])
-    heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
-    return inherited(heritage, poses, divided, config.segmentation.region_min_m)
+    least_m = config.segmentation.region_min_m
+    return inherited(old.labels, old.regions, old.next_id, poses, divided, least_m)
 
 
 def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
     """All scans of both maps, moved with the keyframes, which lie at `poses` now."""
-    ways, carried = (old.trajectory, new.trajectory), []
-    for laid, now in ((old, poses[: len(old)]), (new, poses[len(old) :])):
-        labels, way = laid.labels, laid.trajectory
-        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
-        carried.append(propagated(way.poses, rows, now[: len(rows)]))
+    ways = old.trajectory, new.trajectory
+    carried = old.way_through(poses[: len(old)]), new.way_through(poses[len(old) :])
     lengths = [len(way.poses) for way in ways]
     return Trajectory(
         stamps_ns=np.concatenate([way.stamps_ns for way in ways]),
@@ -213,11 +209,7 @@ def _both(
 
 
 def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
-    """The joint map with the edits of the `new` one, beside those of the old one that it has.
-
-    The new map, whose keyframes are the last of the joint one, is divided as before a person moved
-    its borders. What says nothing of the joint map is added to what is `lost`.
-    """
+    """The joint map with the edits of the `new` one, too; what says nothing of it is `lost`."""
     submaps = joint.labels.submaps[len(joint) - len(new) :]
     retelling = _Retelling(new, submaps, old_from_new, joint.next_id)
     changes: list[Change] = list(joint.edits.changes)
@@ -252,10 +244,7 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
 
 
 class _Retelling:
-    """Says the changes of one map, in order, of the submaps of another that its own became.
-
-    `became` are these by id, the one with the most keyframes first, without those of a few.
-    """
+    """Says the changes of a map again, of what its submaps `became`, by id: the largest first."""
 
     def __init__(self, new: LaidOut, submaps: IntArray, old_from_new: Pose2, next_id: int) -> None:
         own = new.labels.submaps

@@ -32,7 +32,7 @@ from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
 from specmap_cli.quality.findings import of_recording
 from specmap_cli.segmentation.division import regions_of, segment
-from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.graph import by_appearance, settle_labels
 from specmap_cli.topology.topological_map import LogInfo
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
@@ -72,7 +72,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         submaps = online_labels(explored.regions, closures, len(layout.poses))
     else:
         submaps = regions_of(whole, division.array, layout.poses, least_m)
-    submaps = _by_first_visit(submaps, layout.poses, least_m)
+    submaps = by_appearance(settle_labels(submaps, layout.poses, least_m))
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
         evidence = Evidence(
@@ -121,11 +121,7 @@ def with_grid(session: Session, laid: LaidOut) -> LaidOut:
 def _drawn(
     session: Session, layout: Layout, starts: Collection[int] = ()
 ) -> tuple[GridMap, int, Packed | None]:
-    """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
-
-    Also its `division_of`; recordings after the first one begin at `starts`. Raises NoResultError
-    when no keyframe fits into the largest grid allowed.
-    """
+    """The grid of all keyframes as laid out, how many lay beyond its limits, its `division_of`."""
     store, config = session.store, session.config
     with session.clock.stage("grids"):
         counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
@@ -157,15 +153,6 @@ def division_of(
     if guessed or not (config.relaxation.enabled and config.segmentation.final_regions):
         return None
     return Packed.of(segment(whole, config.segmentation).labels)
-
-
-def _by_first_visit(labels: IntArray, poses: FloatArray, least_m: float) -> IntArray:
-    """The submap id (n,) of each keyframe, in order of first visit, without short excursions."""
-    settled = settle_labels(labels, poses, least_m)
-    order: dict[int, int] = {}
-    for label in settled.tolist():
-        order.setdefault(label, len(order))
-    return np.array([order[label] for label in settled.tolist()], dtype=np.int64)
 
 
 def constraints_of(
@@ -223,10 +210,7 @@ def refute(
 
 
 def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
-    """Which poses of two tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way.
-
-    Only those are turned that are no farther apart than that, which are few of the n times m.
-    """
+    """Which poses of tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way."""
     away = np.hypot(old[:, 0, None] - new[:, 0], old[:, 1, None] - new[:, 1])
 
     def apart(i: IntArray, j: IntArray) -> FloatArray:

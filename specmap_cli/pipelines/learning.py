@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli import __version__
-from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion
+from specmap_cli.core.geometry import compose, invert, nearest_motion
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import Map
-from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
@@ -28,22 +27,22 @@ from specmap_cli.recognition.learning.calibration import (
     calibrated,
     held_out_misfit,
 )
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.sampling import (
     NO_SAMPLES,
     NO_TRAINING_DATA,
     Samples,
+    Track,
     TrainingData,
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
+from specmap_cli.recognition.learning.training import Revisits, train_and_test
 
 _MOST = float(np.finfo(np.float16).max)
 
-Submaps = Mapping[int, Sequence[int]]
 OfSubmaps = Mapping[int, Samples]
 # By raw scans: the classifiers, how they told held-out scans, their misfit; the scans that were
 # seen, and those that were made up.
@@ -80,38 +79,31 @@ class Prior:
         return cls(features.knowing(data.raw.keyframes, data.raw.features), data)
 
 
-def learn(
-    session: Session,
-    labels: IntArray,
-    poses: FloatArray,
-    prior: Prior,
-    starts: tuple[int, ...] = (),
-) -> Learned:
-    """What can be learned of the submaps (n,) of keyframes at `poses` (n, 3).
+def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...] = ()) -> Learned:
+    """What can be learned of the submaps of keyframes.
 
     Recordings after the first one begin with the keyframes `starts`. What raw scans teach needs no
     grids: it is learned beside the drawing of these, and beside what virtual scans teach.
     """
-    config, submaps = session.config, submaps_of(labels)
+    config, store, poses = session.config, session.store, labels.poses
+    track = Track.of(store, labels, starts)
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
-        revisits = Revisits(prior.classifiers, starts[-1], poses, labels)
+        revisits = Revisits(prior.classifiers, starts[-1], labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     along: OfSubmaps = {}
     cast: OfSubmaps = {}
     virtual, of_virtual = None, None
-    with ahead(
-        lambda: _of_raw_scans(session, submaps, poses, prior, starts, raw_rng, revisits)
-    ) as meanwhile:
-        session.progress.start("grids", len(session.store))
+    with ahead(lambda: _of_raw_scans(track, config, prior, raw_rng, revisits)) as meanwhile:
+        session.progress.start("grids", len(store))
         with session.clock.stage("grids"):
-            grids = submap_grids(session.store, submaps, poses, config.grid, session.progress)
+            grids = submap_grids(track, config.grid, session.progress)
         session.progress.start("training", None)
         with session.clock.stage("training"):
             if config.localization.virtual:
                 data, virtually = prior.training_data, config.localization
-                cast = cast_samples(submaps, poses, grids, virtually, virtual_rng, data.cast)
-                along = track_samples(session.store, submaps, poses, virtually, data.along, starts)
+                cast = cast_samples(track, grids, virtually, virtual_rng, data.cast)
+                along = track_samples(track, virtually, data.along)
                 virtual, of_virtual = train_and_test(
                     along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
@@ -119,8 +111,9 @@ def learn(
             before = prior.classifiers
             # as before, where the last recording tells nothing of how sure they are
             calibration = None if before is None or len(of_raw.column) else before.calibration
+            first = min(own[0] for own in track.submaps.values())
             classifiers = ClassifierSet(
-                sensor=sensor_of(session.store, submaps),
+                sensor=Sensor.of(store.scan(first)),
                 raw=raw,
                 virtual=virtual,
                 misfit=misfit,
@@ -131,38 +124,31 @@ def learn(
 
 
 def submap_grids(
-    store: KeyframeStore,
-    submaps: Submaps,
-    poses: FloatArray,
-    config: GridConfig,
-    progress: Progress | None = None,
+    track: Track, config: GridConfig, progress: Progress | None = None
 ) -> dict[int, GridMap]:
     """The grid of each submap from all its keyframes, in the frame of its first."""
     grids = {}
-    for id_, keyframes in submaps.items():
-        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
-        grids[id_] = integrate_keyframes(store, keyframes, track, config).snapshot()
+    for id_, keyframes in track.submaps.items():
+        poses = compose(invert(track.poses[keyframes[0]]), track.poses[keyframes])
+        grids[id_] = integrate_keyframes(track.store, keyframes, poses, config).snapshot()
         if progress is not None:
             progress.advance(len(keyframes))
     return grids
 
 
 def _of_raw_scans(
-    session: Session,
-    submaps: Submaps,
-    poses: FloatArray,
+    track: Track,
+    config: Config,
     prior: Prior,
-    starts: tuple[int, ...],
     rng: np.random.Generator,
     revisits: Revisits | None,
 ) -> Generator[None, None, Taught]:
     """What raw scans teach; nothing is told on the way."""
     yield from ()
-    store, config = session.store, session.config
-    samples = raw_samples(submaps, config, prior.features, starts)
-    beside = augmented_samples(store, submaps, poses, config, rng, prior.training_data.beside)
+    poses, samples = track.poses, raw_samples(track, config, prior.features)
+    beside = augmented_samples(track, config, rng, prior.training_data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
-    misfit = held_out_misfit(store, submaps, poses)
+    misfit = held_out_misfit(track.store, track.submaps, poses)
     return raw, held_out, misfit, samples, beside
 
 

@@ -183,10 +183,7 @@ def table_of(report: LocalizationReport, metric: bool) -> str:
 
 
 def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> list[Any]:
-    """The cells of one scan; None where nothing is known.
-
-    When `metric` its pose, the score of that and the upper triangle of its covariance come last.
-    """
+    """The cells of one scan, None where nothing is known; those of its pose last if `metric`."""
     label, fix = scan.label, scan.fix
     pose, covariance = scan.submap_from_base, scan.covariance
     where = [""] * METRIC_HEADER.count(",") if metric else []
@@ -208,10 +205,7 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
 
 
 def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray[np.uint8]:
-    """The predicted submap along the trajectory, over the map where scans were matched in it.
-
-    The colours are those of the map's overview. Without a pose the way is as it was tracked.
-    """
+    """The predicted submaps along the way, over the map if scans were matched in it."""
     from specmap_cli.drawing.overview import render_labels
     from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
 
@@ -228,10 +222,7 @@ def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray
 
 
 def _tracked(scans: Sequence[LocalizedScan]) -> FloatArray:
-    """(n, 2) places in the map: where no pose is known, where the motion since the last one leads.
-
-    Before the first pose it leads back from there. NaN where none is known at all.
-    """
+    """(n, 2) places in the map, led on from the last known pose or back from the first; or NaN."""
     places = np.full((len(scans), 2), math.nan)
     known = [k for k, scan in enumerate(scans) if scan.fix is not None]
     for k, scan in enumerate(scans):

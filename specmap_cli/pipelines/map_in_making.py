@@ -18,21 +18,14 @@ from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import (
-    NO_SUBMAP,
-    BoolArray,
-    Closure,
-    IntArray,
-    Labels,
-    Trajectory,
-)
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, Closure, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of
 from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.layout.pose_graph import read_g2o
-from specmap_cli.layout.result import Layout, rows_of
+from specmap_cli.layout.result import Layout, propagated, rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.store import Map
@@ -133,6 +126,12 @@ class LaidOut:
         """The division of the cells of the whole grid among the submaps."""
         return divide(self.whole, self.labels, fences_of(self.borders), self.unentered)
 
+    def way_through(self, poses: FloatArray) -> FloatArray:
+        """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""
+        way, labels = self.trajectory, self.labels
+        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
+        return propagated(way.poses, rows, poses[: len(rows)])
+
     @property
     def starts(self) -> tuple[int, ...]:
         """The keyframes with which the recordings after the first one begin."""
@@ -182,21 +181,6 @@ class FinishedMap:
             "merges": sum(closure.merged for closure in topology.closures),
             "path_m": round(driven_m(laid.logs, laid.labels), 3),
         }
-
-    @property
-    def labels(self) -> Labels:
-        """The pose and the submap of each keyframe."""
-        return self.laid.labels
-
-    @property
-    def regions(self) -> Regions:
-        """The division of the whole grid."""
-        return self.laid.regions
-
-
-def submaps_of(labels: IntArray) -> dict[int, list[int]]:
-    """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
-    return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
 
 
 def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:

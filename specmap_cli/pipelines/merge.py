@@ -101,7 +101,7 @@ def merge_maps(
         parts=tuple(
             tuple(names[k] for k in sorted(part)) for part in parts_of(len(names), overlaps)
         ),
-        ids={name: merging.ids_of(k, finished.labels.submaps) for k, name in enumerate(names)},
+        ids={name: merging.ids_of(k, finished.laid.labels.submaps) for k, name in enumerate(names)},
         unapplied=finished.unapplied,
     )
 
@@ -135,17 +135,10 @@ def _refuse_twice(maps: Sequence[Map]) -> None:
 
 
 class _Merging:
-    """Maps joined along their alignments, from the first map on; the `joint` one in the end.
-
-    The store of the session takes their keyframes in the order of joining.
-    """
+    """Maps joined along their alignments, in the order of the store; the `joint` one in the end."""
 
     def __init__(
-        self,
-        session: Session,
-        maps: Sequence[Map],
-        parts: Sequence[LaidOut],
-        overlaps: Overlaps,
+        self, session: Session, maps: Sequence[Map], parts: Sequence[LaidOut], overlaps: Overlaps
     ) -> None:
         self.session, self.maps, self.parts, self.overlaps = session, maps, parts, overlaps
         self._firsts: dict[int, tuple[int, int]] = {}  # first keyframe and stay of each map
@@ -160,10 +153,7 @@ class _Merging:
             self.joint = with_borders(joint)[0]
 
     def ids_of(self, number: int, submaps: IntArray) -> dict[int, int]:
-        """The submap of the result that most keyframes of each submap of one map are in.
-
-        `submaps` (n,) are those of all keyframes in the result.
-        """
+        """The submap that most keyframes of each one of a map are in now, by `submaps` (n,)."""
         first, _ = self._firsts[number]
         own = self.parts[number].labels.submaps
         now = submaps[first : first + len(own)]
@@ -202,10 +192,7 @@ class _Merging:
         return join(self.session, joint, new, where, found)
 
     def _closures(self, number: int, child: int) -> tuple[Closure, ...]:
-        """What the alignment of two maps says, `child` being the new one; nothing without one.
-
-        Stays have the numbers of their own maps.
-        """
+        """What the alignment with the new map `child` says, by the numbers of their own stays."""
         one, other = min(number, child), max(number, child)
         if (one, other) not in self.overlaps:
             return ()

@@ -23,14 +23,14 @@ from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.filenames import KEYFRAMES
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.learning import submap_grids
-from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored, submaps_of
+from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.quality.findings import UNMEASURED
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
+from specmap_cli.recognition.learning.sampling import Track
 
 Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
 # Two map directories, and the settings to align them with: it can be handed to a worker.
@@ -68,11 +68,11 @@ def _to_align(
     heading: float = 0.0,
 ) -> MapToAlign:
     """What the store holds the keyframes of; with a stretch, `longer_m` towards `heading`."""
-    submaps, poses = submaps_of(labels.submaps), labels.poses
+    track = Track.of(store, labels)
     return MapToAlign(
         whole=whole,
-        grids=submap_grids(store, submaps, poses, config),
-        frames={id_: Pose2(*poses[own[0]].tolist()) for id_, own in submaps.items()},
+        grids=submap_grids(track, config),
+        frames={id_: Pose2(*track.poses[own[0]].tolist()) for id_, own in track.submaps.items()},
         longer_m=longer_m,
         heading=heading,
     )
@@ -224,11 +224,9 @@ def with_other_lengths(
 def lengthened(laid: LaidOut, stretch: GuessedStretch, longer_m: float) -> LaidOut:
     """A recording that was laid out by itself, with a longer stretch; it is still to be drawn."""
     poses = stretch.longer(laid.layout.poses, longer_m)
-    way = laid.trajectory
-    rows = rows_of(way, laid.labels.stamps_ns.tolist(), laid.labels.poses)
     return replace(
         laid,
         layout=replace(laid.layout, poses=poses),
         labels=replace(laid.labels, poses=poses),
-        trajectory=replace(way, poses=propagated(way.poses, rows, poses)),
+        trajectory=replace(laid.trajectory, poses=laid.way_through(poses)),
     )

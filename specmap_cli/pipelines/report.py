@@ -68,10 +68,7 @@ Name = TypeVar("Name", str, int)
 
 
 def evidence_of(stored: Map, progress: Progress) -> Evidence:
-    """What a map's scans and classifiers tell, as far as it has them.
-
-    Raises MapError for a file that is damaged.
-    """
+    """What a map's scans and classifiers tell; MapError for a file that is damaged."""
     recogniser, notes = None, []
     if (stored.path / filenames.CLASSIFIERS).exists():
         recogniser = classifiers_of(stored).raw
@@ -132,12 +129,7 @@ def _learned(stored: Map, recogniser: Recogniser, store: KeyframeStore) -> dict[
 
 
 def _relative_votes(margins: FloatArray, owner: IntArray) -> FloatArray:
-    """(n, m) the votes of each classifier for each scan, against its votes for foreign scans.
-
-    Some classifiers give many votes to any scan. So of the `margins` (n, m) in a column the mean of
-    those for scans of other submaps, by `owner` (n,), is subtracted, and the rest is divided by
-    their standard deviation. Its own scans have -inf.
-    """
+    """(n, m) `margins` less the mean of foreign scans, over their deviation; -inf for own scans."""
     relative = np.full(margins.shape, -np.inf)
     for column in range(margins.shape[1]):
         foreign = owner != column

@@ -11,9 +11,7 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.json_values import Value
 from specmap_cli.core.process import peak_memory_mb, versions
-from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
@@ -29,107 +27,53 @@ SCHEMA_VERSION = 1  # of run.json: schemas/run.schema.json
 _MOVED_IOU = 0.9  # below it a border is not the one that people knew
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SelectionRecord(Value):
-    """Which topics and frames were read."""
+def run_record(
+    session: Session,
+    finished: FinishedMap,
+    inputs: Sequence[Path],
+    selection: Selection | None = None,
+    **made_by: Any,
+) -> dict[str, Any]:
+    """The contents of run.json: what is to be told of a map that was made in a session of `inputs`.
 
-    scan_topic: str
-    scan_type: str
-    odometry: str | None
-    odom_topics: tuple[str, ...]
-    base_frame: str
-    laser_frame: str
-    base_from_laser: tuple[float, ...]
-    height_band_m: tuple[float, float] | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UpdateRecord(Value):
-    """A recording that was added to a map."""
-
-    map: str
-    old_from_new: tuple[float, ...] | None
-    reason: str
-    keyframes_dropped: int
-    keyframes_kept_for_walls: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunRecord(Value):
-    """The contents of run.json; `selection` is of the log that was read, None where none was.
-
-    `updates` are those that made the map, as run.json of the map before had them, and the last one.
-    `like` is the map in whose frame this one is. Neither is written where it is None.
+    `selection` is of the log that was read, None where none was. Last is what it was `made_by`
+    besides: `updates` are those that made the map, as run.json of the map before had them, and the
+    last one; `like` is the map in whose frame this one is.
     """
-
-    schema_version: int = SCHEMA_VERSION
-    inputs: tuple[str, ...]
-    selection: SelectionRecord | None
-    config: Config
-    versions: dict[str, Any]
-    counts: dict[str, int | float]
-    limits: dict[str, int]
-    seconds: dict[str, float]
-    wall_s: float
-    memory_mb: float | None
-    quality: Quality
-    warnings: tuple[str, ...]
-    updates: tuple[Any, ...] | None = None
-    like: str | None = None
-
-    @classmethod
-    def of(
-        cls,
-        session: Session,
-        finished: FinishedMap,
-        inputs: Sequence[Path],
-        selection: Selection | None = None,
-        updates: tuple[Any, ...] | None = None,
-        like: str | None = None,
-    ) -> RunRecord:
-        """What is to be told of a map that was made in a session of `inputs`."""
-        beyond, clock = finished.laid.beyond, session.clock
-        return cls(
-            inputs=tuple(path.name for path in inputs),
-            selection=None
-            if selection is None
-            else SelectionRecord(
-                scan_topic=selection.topic.name,
-                scan_type=selection.topic.type,
-                odometry=selection.odometry,
-                odom_topics=tuple(selection.odom_topics),
-                base_frame=selection.base_frame,
-                laser_frame=selection.sensor.frame,
-                base_from_laser=tuple(
-                    round(value, 6) for value in Pose2.from_matrix(selection.base_from_laser)
-                ),
-                height_band_m=selection.band_m,
-            ),
-            config=session.config,
-            versions=versions(),
-            counts=finished.counts,
-            limits={"max_extent_m": beyond} if beyond else {},
-            seconds={name: round(value, 3) for name, value in clock.seconds.items()},
-            wall_s=round(time.perf_counter() - clock.began, 3),
-            memory_mb=peak_memory_mb(),
-            quality=finished.quality,
-            warnings=tuple(summary(finished.quality.warnings)),
-            updates=updates,
-            like=like,
-        )
-
-    def document(self) -> dict[str, Any]:
-        """The same for a file."""
-        lacking = {name for name in ("updates", "like") if getattr(self, name) is None}
-        return {name: value for name, value in self.as_dict().items() if name not in lacking}
+    beyond, clock = finished.laid.beyond, session.clock
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "inputs": [path.name for path in inputs],
+        "selection": None
+        if selection is None
+        else {
+            "scan_topic": selection.topic.name,
+            "scan_type": selection.topic.type,
+            "odometry": selection.odometry,
+            "odom_topics": list(selection.odom_topics),
+            "base_frame": selection.base_frame,
+            "laser_frame": selection.sensor.frame,
+            "base_from_laser": [
+                round(value, 6) for value in Pose2.from_matrix(selection.base_from_laser)
+            ],
+            "height_band_m": selection.band_m and list(selection.band_m),
+        },
+        "config": session.config.model_dump(mode="json", by_alias=True),
+        "versions": versions(),
+        "counts": finished.counts,
+        "limits": {"max_extent_m": beyond} if beyond else {},
+        "seconds": {name: round(value, 3) for name, value in clock.seconds.items()},
+        "wall_s": round(time.perf_counter() - clock.began, 3),
+        "memory_mb": peak_memory_mb(),
+        "quality": finished.quality.as_dict(),
+        "warnings": summary(finished.quality.warnings),
+        **made_by,
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapReport(ABC):
-    """A map that was made: its directory, its run.json, and what is thought of it.
-
-    `unapplied` tells which of a person's edits do not apply.
-    """
+    """A map that was made; `unapplied` tells which of a person's edits do not apply."""
 
     out: Path
     run: Mapping[str, Any]

@@ -17,13 +17,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.grids.gridmap import UNKNOWN
-from specmap_cli.grids.keyframes import (
-    KeyframeStore,
-    Recorded,
-    repeated,
-    sole_views,
-    views_needed,
-)
+from specmap_cli.grids.keyframes import KeyframeStore, Recorded, repeated, sole_views, views_needed
 from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
 from specmap_cli.layout.result import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
@@ -95,10 +89,7 @@ def _named(laid: LaidOut, of: IntArray) -> BoolArray:
 
 
 def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
-    """(H, W) the wall cells of the old map at which the new recording did not look.
-
-    `poses` (n, 3) are those of the keyframes of both in the joint map.
-    """
+    """(H, W) the old walls at which the new recording did not look; `poses` of both (n, 3)."""
     whole, count = old.whole, len(old.labels.poses)
     cells = np.argwhere(whole.occupied)
     places = propagated_places(whole.centres_of(cells), old.labels.poses, poses[:count])
@@ -114,10 +105,7 @@ def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
 
 
 def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray) -> LaidOut:
-    """The map without some keyframes, and the store, too; those that are left have new numbers.
-
-    Of a recording that lost some it is kept how long its way was.
-    """
+    """The map and the store without some keyframes, renumbered; recordings keep their lengths."""
     numbers = np.flatnonzero(~gone)
     row = {number: k for k, number in enumerate(numbers.tolist())}
     breaks = {row[number]: bridge for number, bridge in laid.breaks.items()}
@@ -137,9 +125,7 @@ def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray)
         laid,
         layout=layout,
         labels=Labels(
-            stamps_ns=labels.stamps_ns[numbers],
-            poses=layout.poses,
-            submaps=labels.submaps[numbers],
+            stamps_ns=labels.stamps_ns[numbers], poses=layout.poses, submaps=labels.submaps[numbers]
         ),
         stays={
             number: tuple(row[one] for one in own if one in row)

@@ -60,13 +60,13 @@ from specmap_cli.pipelines.overlaps import (
     told_m,
     with_other_lengths,
 )
-from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
+from specmap_cli.pipelines.reports import BuildReport, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import Heritage, inherited
+from specmap_cli.topology.graph import inherited
 from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -106,16 +106,16 @@ def update_map(
         fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
         finished = finish(session, fewer.laid, prior)
         motion, earlier = alignment.old_from_new, stored.run.get("updates")
-        last = UpdateRecord(
-            map=stored.path.resolve().name,
-            old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
-            reason=alignment.reason,
-            keyframes_dropped=fewer.dropped,
-            keyframes_kept_for_walls=fewer.kept_for_walls,
-        )
-        updates = (*(earlier if isinstance(earlier, list) else []), last)
+        last = {
+            "map": stored.path.resolve().name,
+            "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
+            "reason": alignment.reason,
+            "keyframes_dropped": fewer.dropped,
+            "keyframes_kept_for_walls": fewer.kept_for_walls,
+        }
+        updates = [*(earlier if isinstance(earlier, list) else []), last]
         run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
-    before, visits = np.split(finished.labels.submaps, [fewer.old])
+    before, visits = np.split(finished.laid.labels.submaps, [fewer.old])
     ids = set(before.tolist())
     return UpdateReport(
         out=target,
@@ -124,7 +124,7 @@ def update_map(
         alignment=alignment,
         visited=tuple(sorted(set(visits.tolist()) & ids)),
         new=tuple(sorted(set(visits.tolist()) - ids)),
-        borders=border_changes(old.regions, finished.regions),
+        borders=border_changes(old.regions, finished.laid.regions),
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
@@ -133,10 +133,7 @@ def update_map(
 def _updated(
     session: Session, stored: Map, old: LaidOut, stream: SweepStream, *, allow_apart: bool
 ) -> tuple[Thinned, Prior, Alignment]:
-    """The map with the recording; its keyframes are added to those of the map in the store.
-
-    Also what is known before it is learned, and where the recording lies.
-    """
+    """The map with the recording, in the store too; what is known before it, and where it lies."""
     config, store, name = session.config, session.store, stream.log.name
     old_to_align, data = stored_to_align(stored), training_data_of_stored(stored, config)
     known = comparable(classifiers_of(stored), stored, config)
@@ -233,11 +230,7 @@ def _joined(
     *,
     allow_apart: bool,
 ) -> Thinned:
-    """The recording laid into the map where they are aligned, beside it otherwise.
-
-    Older keyframes that it repeats are let go, and the new space is divided. Raises NoResultError
-    for a recording that no wall ties to the map in the end.
-    """
+    """The recording laid into the map or beside it, thinned and divided; NoResultError if loose."""
     session.progress.start("layout", None)
     with session.clock.stage("layout"):
         where = alignment.old_from_new or place_apart(old.whole, new.whole)
@@ -260,18 +253,15 @@ def _joined(
 def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> Thinned:
     """What is left of the `joint` map, its new space divided as a build of all would divide it.
 
-    The recording that is added saw some rooms only through their doors, and so did those before it.
-    By itself its map may give a room that it entered to what lies beyond the next door, and the old
-    map may have given parts of it to the corridor. The map of all of them shows the room as it is.
-    The keyframes of `old`, with which those of `joint` begin, stay in their submaps.
+    The map of all recordings shows rooms as they are that one alone saw through a door only. The
+    keyframes of `old`, with which those of `joint` begin, stay in their submaps.
     """
     laid = fewer.laid
     if laid.division is None:
         return fewer
     poses, least_m = joint.layout.poses, config.segmentation.region_min_m
     divided = regions_of(laid.whole, laid.division.array, poses, least_m)
-    heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
-    submaps = inherited(heritage, poses, divided, least_m)
+    submaps = inherited(old.labels, old.regions, old.next_id, poses, divided, least_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(old.next_id, 1 + int(submaps.max()))
     return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))

@@ -126,10 +126,7 @@ def _held_signals() -> Iterator[None]:
 def _child(
     produce: Callable[[], Generator[Any, None, Any]], receiver: Connection, sender: Connection
 ) -> None:
-    """The child: sends all items, then the result, or the error that ended the work.
-
-    It ends with its work, when its parent tells it to, or when its parent is no more.
-    """
+    """The child sends all items, then the result or the error; it ends when its parent is gone."""
     receiver.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both: the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -215,11 +215,9 @@ _SEEN = 0.5  # share of a side that the other map must have seen
 
 
 def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
-    """The ways of a divided map that are blocked in another map, which saw one side at the least.
+    """The ways of a divided map that are blocked in another one, which saw a side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
-
-    In order of the pairs of submaps, then of the places.
     """
     grid, clearance = regions.grid, regions.grid.clearance()
     away_m, blocked = survey.grid.obstacle_distance(), []
@@ -264,10 +262,7 @@ def _is_blocked(
     cells: _Cells,
     sides: tuple[BoolArray, BoolArray],
 ) -> bool:
-    """Whether another map saw a side of a way, and obstacles all across it.
-
-    `cells` (n, 2) round the way are `placed` (n, 2) in that map, `away_m` from its obstacles.
-    """
+    """Whether another map, where cells (n, 2) are `placed`, saw a side and obstacles all across."""
     values, away = other.values_at(placed), other.under(placed, away_m, 0.0)
     if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
         return False

@@ -181,10 +181,7 @@ def _within(
 def _joined(
     above: Parts, here: Parts, heights: LengthArray, is_low: BoolArray, least: float
 ) -> tuple[int, int] | None:
-    """The parts above a level that become one at it: a hill of the first submap, of the second.
-
-    A hill is `least` high, at the least, inside its submap; of several the two highest.
-    """
+    """The parts that become one at a level: the highest hills, `least` high, of either submap."""
     count = int(above.max()) + 1
     if count < 3:
         return None
@@ -219,10 +216,7 @@ def _steps(start: BoolArray, part: BoolArray) -> IntArray:
 
 
 def _measured(space: Space, corner: IntArray, saddle: _Saddle) -> Narrow:
-    """The narrow place at a saddle: from the nearest wall to the nearest one on the other side.
-
-    `corner` is the row and column on the map of the first cell of the saddle's window.
-    """
+    """The narrow place at a saddle in the window at `corner`: from a wall to the one opposite."""
     cell = np.array(saddle.cell) + corner
     reach = math.ceil(2.0 * saddle.height) + 2
     low = np.maximum(cell - reach, 0)

@@ -13,7 +13,6 @@ that no other ever had. So does a room that the robot had only looked into from 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +22,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths, travelled
 from specmap_cli.core.json_values import runs_of
-from specmap_cli.core.records import Closure, IntArray
+from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.regions import NOBODY, Pair, Regions
 from specmap_cli.topology.topological_map import (
@@ -56,10 +55,10 @@ def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[in
 
 
 def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
-    """Labels (n,) of successive keyframes without excursions: a stay shorter than `min_path_m` of
-    path between two stays in one submap becomes part of that submap.
+    """Labels (n,) of successive keyframes at `poses` (n, 3) without excursions.
 
-    `poses` (n, 3) are those of the keyframes. Stays are looked at in turn, the first is kept.
+    A stay shorter than `min_path_m` of path between two stays in one submap becomes part of that
+    submap. Stays are looked at in turn, the first is kept.
     """
     settled = labels.copy()
     path = travelled(poses)
@@ -73,16 +72,14 @@ def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> Int
 
 def build_topology(
     *,
-    labels: IntArray,
-    poses: FloatArray,
-    stamps_ns: Sequence[int],
+    labels: Labels,
     breaks: Sequence[Break],
     closures: Sequence[Closure],
     stays: Sequence[Stay],
     grids: Mapping[int, GridMap],
     starts: Collection[int] = (),
 ) -> TopologicalMap:
-    """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
+    """The topological map of the keyframes.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
     tracks meet. `breaks` are where tracking restarted: what lies before is linked by a loose edge
@@ -90,19 +87,19 @@ def build_topology(
     origin is the pose of their first keyframe. `starts` are the keyframes with which other
     recordings begin: nobody drove from the one before to these.
     """
-    recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
-    both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]
+    own, places = labels.submaps, labels.poses[:, :2]
+    recording = np.isin(np.arange(len(own)), list(starts)).cumsum()
+    both = np.unique(np.column_stack([recording, own]), axis=0, return_inverse=True)[1]
     spans = runs(both.reshape(-1))  # in one submap, and of one recording
-    submaps = _submaps(labels, poses, stamps_ns, spans, grids)
-    broken = {each.keyframe for each in breaks}
-    traversals = _traversals(labels, poses, stamps_ns, spans, starts, broken)
+    submaps = _submaps(labels, spans, grids)
+    traversals = _traversals(labels, spans, starts, {each.keyframe for each in breaks})
     submap_of = {stay.number: stay.submap for stay in stays}
     recognised: dict[Pair, None] = {}
     for closure in closures:
         if closure.verified and not closure.merged:
             low, high = sorted((submap_of[closure.old], submap_of[closure.new]))
             if low != high and (low, high) not in recognised:
-                away = cKDTree(poses[labels == low, :2]).query(poses[labels == high, :2])[0]
+                away = cKDTree(places[own == low]).query(places[own == high])[0]
                 if float(np.min(away, initial=np.inf)) < _MEETING_M:
                     recognised[low, high] = None
     edges = {}
@@ -120,19 +117,17 @@ def build_topology(
     )
 
 
-def stays_of(
-    regions: Mapping[int, Sequence[int]], labels: IntArray, stamps_ns: Sequence[int]
-) -> tuple[Stay, ...]:
+def stays_of(regions: Mapping[int, Sequence[int]], labels: Labels) -> tuple[Stay, ...]:
     """The regions that the robot left on its way, with the submap that each became part of.
 
-    `regions` are the keyframes of each region, that of its frame first, by its number; `labels`
-    (n,) is the submap of each keyframe. Of submaps that share a region, that with the most
-    keyframes of it has it, the smallest of equals.
+    `regions` are the keyframes of each region, that of its frame first, by its number. Of submaps
+    that share a region, that with the most keyframes of it has it, the smallest of equals.
     """
+    stamps_ns = labels.stamps_ns.tolist()
     return tuple(
         Stay(
             number=number,
-            submap=int(np.bincount(labels[list(keyframes)]).argmax()),
+            submap=int(np.bincount(labels.submaps[list(keyframes)]).argmax()),
             runs=runs_of(sorted(keyframes)),
             origin=keyframes[0],
             start_ns=stamps_ns[min(keyframes)],
@@ -143,20 +138,17 @@ def stays_of(
 
 
 def _submaps(
-    labels: IntArray,
-    poses: FloatArray,
-    stamps_ns: Sequence[int],
-    spans: Sequence[Span],
-    grids: Mapping[int, GridMap],
+    labels: Labels, spans: Sequence[Span], grids: Mapping[int, GridMap]
 ) -> dict[int, Submap]:
     """The submaps in order of first visit; a span is a half-open range of keyframes."""
     visits: dict[int, list[Span]] = {}
     for span in spans:
-        visits.setdefault(int(labels[span[0]]), []).append(span)
+        visits.setdefault(int(labels.submaps[span[0]]), []).append(span)
+    stamps_ns = labels.stamps_ns.tolist()
     return {
         id_: Submap(
             id=id_,
-            map_from_submap=Pose2(*poses[own[0][0]].tolist()),
+            map_from_submap=Pose2(*labels.poses[own[0][0]].tolist()),
             keyframes=tuple(keyframe for span in own for keyframe in range(*span)),
             visits=tuple(Visit(stamps_ns[start], stamps_ns[end - 1]) for start, end in own),
             grid=grids[id_],
@@ -166,56 +158,48 @@ def _submaps(
 
 
 def _traversals(
-    labels: IntArray,
-    poses: FloatArray,
-    stamps_ns: Sequence[int],
-    spans: Sequence[Span],
-    starts: Collection[int],
-    breaks: Collection[int],
+    labels: Labels, spans: Sequence[Span], starts: Collection[int], breaks: Collection[int]
 ) -> dict[Pair, list[Traversal]]:
     """Each crossing from a visit to the next, by pair; none over a restart of tracking."""
+    submaps, poses = labels.submaps.tolist(), labels.poses
     found: dict[Pair, list[Traversal]] = {}
     for (start, end), (after, _) in pairwise(spans):
         if after in starts:
             continue
-        source, target = int(labels[start]), int(labels[after])
+        source, target = submaps[start], submaps[after]
         crossed = found.setdefault((min(source, target), max(source, target)), [])
         if after not in breaks:
             x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
             theta = float(poses[after, 2])
-            crossed.append(Traversal(stamps_ns[after], source, target, x, y, theta))
+            stamp_ns = int(labels.stamps_ns[after])
+            crossed.append(Traversal(stamp_ns, source, target, x, y, theta))
     return found
 
 
 _MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
 
 
-@dataclass(frozen=True, slots=True)
-class Heritage:
-    """A map that new keyframes are added to.
-
-    `poses` (n, 3) and `submaps` (n,) of its keyframes, `regions` the division of its cells, all as
-    they were in that map. `next_id` is the first id that no submap of it ever had.
-    """
-
-    poses: FloatArray
-    submaps: IntArray
-    regions: Regions
-    next_id: int
-
-
-def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m: float) -> IntArray:
+def inherited(
+    old: Labels,
+    regions: Regions,
+    next_id: int,
+    poses: FloatArray,
+    divided: IntArray,
+    region_min_m: float,
+) -> IntArray:
     """The submap (m,) of each keyframe of a joint map: those of the old map, then the new ones.
 
-    `poses` (m, 3) are those in the joint map, `divided` (m,) the region of another division that
-    each keyframe lies in, NOBODY outside of it. Old keyframes keep their submaps. New space on
-    which the robot drove less than `region_min_m` becomes no submap of its own.
+    `old` and `regions` are the keyframes of the old map and the division of its cells, `next_id` is
+    the first id that no submap of it ever had. `poses` (m, 3) are those in the joint map, `divided`
+    (m,) the region of another division that each keyframe lies in, NOBODY outside of it. Old
+    keyframes keep their submaps. New space on which the robot drove less than `region_min_m`
+    becomes no submap of its own.
     """
     count = len(old.poses)
     # carried back into the old map by the old keyframe nearest to it, a new one has a territory
     nearest = cKDTree(poses[:count, :2]).query(poses[count:, :2])[1]
     back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
-    labels = np.concatenate([old.submaps, old.regions.owners(back)])
+    labels = np.concatenate([old.submaps, regions.owners(back)])
     # what the old robot only looked into through a door is not known, whoever got its cells
     driven_m = _driven_m(divided[:count], poses[:count])
     known = [region for region, way_m in driven_m.items() if way_m >= region_min_m]
@@ -224,24 +208,29 @@ def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m:
     heirs = _heirs(labels, old.submaps, divided, known)
     names: dict[int, int] = {}
     for region in divided[strange].tolist():
-        names.setdefault(region, heirs.get(region, old.next_id + len(names)))
+        names.setdefault(region, heirs.get(region, next_id + len(names)))
     labels[strange] = [names[region] for region in divided[strange].tolist()]
     # what was hardly driven on goes to where the robot was, unless the recording is nowhere else
     own = labels[count:]
     grazed = [
         label
         for label, way_m in _driven_m(own, poses[count:]).items()
-        if label >= old.next_id and way_m < region_min_m
+        if label >= next_id and way_m < region_min_m
     ]
     stays = ~np.isin(own, grazed)
     if stays.any():
         source = np.where(stays, np.arange(len(own)), int(np.argmax(stays)))
         own = own[np.maximum.accumulate(source)]
     labels[count:] = settle_labels(own, poses[count:], region_min_m)
-    order: dict[int, int] = {}  # new ids have no gaps
-    for label in labels[labels >= old.next_id].tolist():
-        order.setdefault(label, old.next_id + len(order))
-    return np.array([order.get(label, label) for label in labels.tolist()], dtype=np.int64)
+    new = labels >= next_id
+    labels[new] = next_id + by_appearance(labels[new])  # new ids have no gaps
+    return labels
+
+
+def by_appearance(labels: IntArray) -> IntArray:
+    """(n,) labels numbered from 0 on as they appear."""
+    _, first, which = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[which]
 
 
 def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:

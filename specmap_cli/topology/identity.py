@@ -309,11 +309,7 @@ def carried(
 
 
 def _made(
-    whole: GridMap,
-    labels: Labels,
-    state: Redrawn,
-    border: BorderEdit,
-    unentered: BoolArray | None,
+    whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit, unentered: BoolArray | None
 ) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):
@@ -350,10 +346,7 @@ _LEFT, _RIGHT = 1, 2
 
 
 def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
-    """The line from border to border of the cells `mine` (H, W); None where it crosses none.
-
-    An end that lies in them is moved on until it does not; one outside stays.
-    """
+    """The line moved on to the border of the cells `mine` (H, W); None where it crosses none."""
     if not (mine & drawn([line], grid)).any():
         return None
     start, end = np.array(line[0]), np.array(line[1])

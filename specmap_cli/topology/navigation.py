@@ -33,7 +33,6 @@ from specmap_cli.topology.topological_map import (
     heirs,
 )
 from specmap_cli.topology.ways import (
-    NO_WAY,
     Anchor,
     Way,
     anchors_of,
@@ -80,20 +79,14 @@ def with_ways(
     return replace(
         topology,
         submaps=submaps,
-        edges={
-            pair: _with_way(edge, there.get(pair, NO_WAY), doors) for pair, edge in edges.items()
-        },
+        edges={pair: _with_way(edge, there[pair], doors) for pair, edge in edges.items()},
         doors=doors,
         robot_radius_m=config.robot_radius_m,
     )
 
 
 def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
-    """An edge with its way and those of the doors that it goes through.
-
-    An edge without a path names all doors between its submaps: the robot is too wide for them, or
-    for what is behind them.
-    """
+    """An edge with its way and the doors on it; without a path all doors between its submaps."""
     through = [door for door in doors if door.between == (edge.source, edge.target)]
     if way.path is not None:
         through = [*_crossed(way.path, through)]
@@ -183,18 +176,6 @@ _AT_M = 2.0  # a person who points at a door points beside it
 
 
 @dataclass(frozen=True, slots=True)
-class Forbidden:
-    """A person forbade the way between two submaps, or the one `at` a place in the map.
-
-    `later` are the borders made after it was said: it holds for what the submaps became.
-    """
-
-    between: Pair
-    at: Point | None = None
-    later: tuple[BorderEdit, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Shut:
     """What a person's word shuts: links, and doors by their ids."""
 
@@ -205,21 +186,24 @@ class Shut:
         return Shut(self.links | other.links, self.doors | other.doors)
 
 
-def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
-    """The links and doors that are meant, or why there are none.
+def shut_by(
+    topology: TopologicalMap, between: Pair, place: Point | None, later: Iterable[BorderEdit]
+) -> Shut | str:
+    """The links and doors that a person means who forbade the way between two submaps, or why none.
 
     Without a place all of them between the two; with one the door nearest to it, or where the two
-    meet in the open the link that crosses there.
+    meet in the open the link that crosses there. The word holds for what the submaps became by the
+    borders that were made `later`.
     """
-    one, other = (heirs(id_, request.later) for id_ in request.between)
+    one, other = (heirs(id_, later) for id_ in between)
     edges = {
         (a, b): edge
         for (a, b), edge in topology.edges.items()
         if (a in one and b in other) or (b in one and a in other)
     }
     if not edges:
-        return f"there is no link between {request.between[0]} and {request.between[1]}"
-    doors, place = [door for door in topology.doors if door.between in edges], request.at
+        return f"there is no link between {between[0]} and {between[1]}"
+    doors = [door for door in topology.doors if door.between in edges]
     if place is None:
         return Shut(frozenset(edges), frozenset(door.id for door in doors))
     in_the_open = [
@@ -363,10 +347,7 @@ class _Ground:
         return cls(space, clearance, price)
 
     def beside(self, place: Point) -> IntArray | None:
-        """The row and column nearest to a place where the robot can stand, within `_ASIDE_M`.
-
-        In the room of the place itself, where it lies in one.
-        """
+        """The cell, in the room of a place, nearest to it where the robot can stand; or None."""
         grid, owner = self.space.grid, self.space.owner
         cell = grid.cells_of(np.array([place]))
         reach = math.ceil(_ASIDE_M / grid.resolution)
@@ -400,10 +381,7 @@ class _Ground:
 
 
 def _in_order(space: Space, way: IntArray) -> tuple[int, ...]:
-    """The submaps of the cells along a way (n, 2), each as often as it is entered.
-
-    Where the way runs along a border it may touch the other side: that is not to enter it.
-    """
+    """The submaps of cells along a way (n, 2), as often as entered; brief touches do not count."""
     owners, brief = space.owner[tuple(way.T)], _TOUCH_M / space.grid.resolution
     stays = runs(owners)
     kept = [

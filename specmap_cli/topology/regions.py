@@ -252,10 +252,7 @@ class Regions:
 
 
 def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
-    """The pieces of free cells that are nobody's, from LEAST_SEEN_M2 on, the largest first.
-
-    Cells join over their corners, too: the rays of a fan are one piece.
-    """
+    """The pieces of nobody's free cells from LEAST_SEEN_M2 on, over corners, the largest first."""
     nobodys = grid.free & (owner == NOBODY)
     shown = window_of(nobodys)
     if shown is None:
@@ -276,10 +273,7 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
 
 
 def divide(
-    whole: GridMap,
-    labels: Labels,
-    fences: Sequence[Line] = (),
-    unentered: BoolArray | None = None,
+    whole: GridMap, labels: Labels, fences: Sequence[Line] = (), unentered: BoolArray | None = None
 ) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 

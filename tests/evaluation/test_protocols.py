@@ -17,7 +17,7 @@ from sklearn.metrics import accuracy_score, confusion_matrix, precision_recall_f
 from specmap_cli.core.errors import InputError, LogError
 from specmap_cli.core.geometry import Pose2, compose, nearest_motion
 from specmap_cli.core.progress import Silent
-from specmap_cli.core.records import Trajectory
+from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation import protocols, semantic, trajectories
 from specmap_cli.evaluation.protocols import HoldOut, classification_scores, revisit_logs
@@ -77,7 +77,8 @@ def test_a_fifth_is_held_out_one_by_one_or_blocks_whole_by_number_and_seed_alone
 
 
 def test_a_revisit_is_scored_by_given_poses_in_any_frame() -> None:
-    keyframes = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), np.array([0, 1])
+    places = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    keyframes = Labels(stamps_ns=np.arange(2), poses=places, submaps=np.array([0, 1]))
     map_from_reference = Pose2(1.0, 2.0, 0.5)
     inside = np.array([[0.1, 0.0], [10.1, 0.0], [9.8, 0.0], [5.0, 0.0]])
     given_places = map_from_reference.inverse().apply(inside)

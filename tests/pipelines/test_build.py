@@ -109,7 +109,7 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
     assert nx.is_connected(graph)
     true = {sweep.stamp_ns: pose for sweep, pose in flat_tour}
     places = np.array([true[stamp] for stamp in flat_done.store.stamps_ns])
-    scores = map_scores(flat_rooms, places, finished.labels.submaps)
+    scores = map_scores(flat_rooms, places, finished.laid.labels.submaps)
     assert scores.whole == 1.0
     assert scores.found == scores.doors
     assert scores.invented == 0
@@ -117,14 +117,14 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
 
 
 def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_done: Finished) -> None:
-    finished = flat_done.finished
-    labels = finished.labels.submaps
+    finished, keyframes = flat_done.finished, flat_done.finished.laid.labels
+    labels = keyframes.submaps
     first = [int(np.argmax(labels == id_)) for id_ in sorted(finished.topology.submaps)]
     assert first == sorted(first)
     assert sorted(finished.topology.submaps) == list(range(len(first)))
     assert finished.classifiers.ids == sorted(finished.topology.submaps)
     for id_, submap in finished.topology.submaps.items():
-        inside = submap.map_from_submap.inverse().apply(finished.labels.poses[labels == id_][:, :2])
+        inside = submap.map_from_submap.inverse().apply(keyframes.poses[labels == id_][:, :2])
         assert (submap.grid.values_at(inside) == 0).mean() > 0.99
 
 
@@ -146,7 +146,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: Map) -> 
 def test_to_finish_changes_nothing_of_what_was_explored(flat_done: Finished) -> None:
     """The same exploration gives the same map again: stages hand on values."""
     again = finished_by(flat_done.explored, flat_done.store, QUICK)
-    assert again.labels.submaps.tolist() == flat_done.finished.labels.submaps.tolist()
+    assert again.laid.labels.submaps.tolist() == flat_done.finished.laid.labels.submaps.tolist()
     assert again.classifiers.to_json() == flat_done.finished.classifiers.to_json()
 
 
@@ -198,7 +198,7 @@ def test_without_a_consistent_layout_the_online_submaps_stay(
         finished = finished_by(explored, store, config)
         online = online_labels(explored.regions, explored.closures, len(store))
         assert len(finished.topology.submaps) <= len(explored.regions)
-        joined = np.column_stack([online, finished.labels.submaps])
+        joined = np.column_stack([online, finished.laid.labels.submaps])
         assert np.unique(joined, axis=0, return_counts=True)[1].max() >= np.bincount(online).max()
 
 

@@ -18,7 +18,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.graph import (
-    Heritage,
     build_topology,
     inherited,
     settle_labels,
@@ -65,9 +64,11 @@ def topology_of(
 ) -> TopologicalMap:
     """Keyframes a metre and 1000 ns apart, on a line unless `poses` say where."""
     return build_topology(
-        labels=np.array(labels, dtype=np.int64),
-        poses=line_of_poses(len(labels)) if poses is None else poses,
-        stamps_ns=[1000 * k for k in range(len(labels))],
+        labels=Labels(
+            stamps_ns=1000 * np.arange(len(labels)),
+            poses=line_of_poses(len(labels)) if poses is None else poses,
+            submaps=np.array(labels, dtype=np.int64),
+        ),
         breaks=[Break(int(keyframe)) for keyframe in breaks],
         closures=closures,
         stays=[
@@ -211,14 +212,14 @@ def test_merging_agrees_with_connected_components_in_any_order(
 
 
 def test_a_stay_has_its_keyframes_and_the_submap_of_most_of_them() -> None:
-    labels = np.array([2, 0, 0, 1, 1, 0])
+    labels = labelled(line_of_poses(6), np.array([2, 0, 0, 1, 1, 0]))
     regions = {7: (2, 3, 1), 3: (0,), 5: (4, 5)}  # the robot came back, and the second one grew
-    found = stays_of(regions, labels, [10 * k for k in range(6)])
+    found = stays_of(regions, labels)
     assert found == (
         Stay(number=3, submap=2, runs=((0, 0),), origin=0, start_ns=0, end_ns=0),
         # the smaller of equals
-        Stay(number=5, submap=0, runs=((4, 5),), origin=4, start_ns=40, end_ns=50),
-        Stay(number=7, submap=0, runs=((1, 3),), origin=2, start_ns=10, end_ns=30),
+        Stay(number=5, submap=0, runs=((4, 5),), origin=4, start_ns=4, end_ns=5),
+        Stay(number=7, submap=0, runs=((1, 3),), origin=2, start_ns=1, end_ns=3),
     )
     assert [stay.keyframes for stay in found] == [(0,), (4, 5), (1, 2, 3)]
 
@@ -265,11 +266,11 @@ def labels_after(
 
     The joint division says the room and `joint`, or one submap for all; the layout may have moved.
     """
-    submaps = room_of(first)
-    old = Heritage(first, submaps, divide(known, labelled(first, submaps)), next_id)
+    old = labelled(first, room_of(first))
     poses = np.concatenate([first, second])
     division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
-    labels = inherited(old, poses if moved is None else compose(moved, poses), division, 1.0)
+    there = poses if moved is None else compose(moved, poses)
+    labels = inherited(old, divide(known, old), next_id, there, division, 1.0)
     return labels[: len(first)], labels[len(first) :]
 
 

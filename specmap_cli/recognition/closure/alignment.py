@@ -83,11 +83,6 @@ class MapToAlign:
     longer_m: float = 0.0
     heading: float = 0.0
 
-    @property
-    def shift(self) -> FloatArray:
-        """(2,) by which what lies beyond the stretch was moved."""
-        return self.longer_m * np.array([math.cos(self.heading), math.sin(self.heading)])
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PieceFit:
@@ -237,15 +232,13 @@ class _Candidate:
     @property
     def ends(self) -> tuple[Pose2, Pose2]:
         """Where it puts what lies before and beyond a stretch, from the map as it was made."""
-        x, y = self.new.shift.tolist()
-        return self.old_from_new, self.old_from_new @ Pose2(x, y, 0.0)
+        longer_m, heading = self.new.longer_m, self.new.heading
+        shift = Pose2(longer_m * math.cos(heading), longer_m * math.sin(heading), 0.0)
+        return self.old_from_new, self.old_from_new @ shift
 
 
 def _different(found: Iterable[_Candidate], centre: FloatArray) -> list[_Candidate]:
-    """The best of some transforms, the best of those that truly differ from it, and so on.
-
-    One differs that puts either end of the new map, whose walls have the `centre`, elsewhere.
-    """
+    """Transforms, the best first, each of which puts an end of the new map elsewhere."""
     kept: list[_Candidate] = []
     for one in sorted(found, key=lambda one: -one.evidence_m):
         pairs = [zip(one.ends, other.ends, strict=True) for other in kept]
@@ -264,10 +257,7 @@ class _Search:
         self._floor = evenly(free, _FLOOR_POINTS)
 
     def ranked(self) -> list[_Candidate]:
-        """The best transform and those that truly differ, the best first.
-
-        Among them are those slid along the walls: where a corridor shows nothing else, they fit.
-        """
+        """The best transform and those that truly differ, also slid along walls; the best first."""
         rough = [self._measured(self._refined(pose, rough=True)) for pose in self._places()]
         likely = _different(rough, self._centre)[:_FOLLOWED]
         found = [self._measured(self._refined(one.old_from_new)) for one in likely]
@@ -304,16 +294,13 @@ class _Search:
         return found.pose @ Pose2(-x, -y, 0.0)
 
     def _measured(self, pose: Pose2) -> _Candidate:
-        """What speaks for a transform: of the map of which fewer metres of wall do.
-
-        Walls count only as far as there is room between them.
-        """
+        """What speaks for a transform, of the map of which less does; walls need room between."""
         known = []
         for grid, other, motion in (
             (self.new, self.old, pose),
             (self.old, self.new, pose.inverse()),
         ):
-            said = agreement(other.area, motion.apply(grid.walls))
+            said = agreement(other, motion.apply(grid.walls))
             each = said.confirmed - CONTRADICTION_WEIGHT * said.contradicted - _CHANCE
             known.append(said.known * len(grid.walls) * grid.metres_a_point * each)
         floor = self.old.grid.values_at(pose.apply(self._floor))
@@ -380,7 +367,7 @@ class _Map:
             if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
                 best = guess
             there = best.apply(walls - middle)
-            said = agreement(other.whole.area, there)
+            said = agreement(other.whole, there)
             known_m = said.known * len(walls) * each_m
             yield PieceFit(
                 submap=id_,

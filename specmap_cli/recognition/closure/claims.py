@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import Booster, boosted, boosted_trees
-from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Question
+from specmap_cli.recognition.learning.boosting import Booster, TreeBoost, boosted
+from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Question, grown
 
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
@@ -54,10 +54,7 @@ class _Scans:
 
     @classmethod
     def joined(cls, parts: Sequence[_Scans], most: int | None = None) -> _Scans:
-        """The scans of several, one after the other, or `most` of them, evenly spread.
-
-        With bins if all of them have some.
-        """
+        """The scans of several, or `most` of them, evenly spread; with bins if all have some."""
         features = np.concatenate([scans.features for scans in parts])
         rows = slice(None) if most is None else evenly(np.arange(len(features)), most)
         codes = [scans.codes for scans in parts if scans.codes is not None]
@@ -144,10 +141,7 @@ class ClaimRanker:
     def _trained(
         self, stays: Sequence[Sequence[_Scans]], left_out: Sequence[Collection[int]]
     ) -> list[Booster]:
-        """Classifiers that claim the stays of several submaps, each without some old submaps.
-
-        Negatives are of one pool: alike many scans of every old submap, of all its stays.
-        """
+        """Classifiers that claim the stays of several submaps, each without some old submaps."""
         own = [_Scans.joined(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
         most, ids = self.config.closure_negatives, sorted(self._submaps)
         pool = [_Scans.joined(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]
@@ -163,13 +157,11 @@ class ClaimRanker:
         names, rounds = feature_names(self.config.feature_set), self.config.closure_rounds
         if self._quantiser is None or scans.codes is None:
             return boosted(names, scans.features, questions, rounds)
-        return boosted_trees(names, scans.codes, self._quantiser, questions, rounds, self.rng)
+        forests = grown(scans.codes, self._quantiser, questions, rounds, self.rng)
+        return [TreeBoost(names, forest) for forest in forests]
 
     def _quantise(self, new: _Scans) -> None:
-        """Cut the new scans, and those old ones that have no bins yet, into bins.
-
-        The bins are cut anew, for all scans, once the map has doubled.
-        """
+        """Cut scans that have no bins yet; all of them anew once the map has doubled."""
         stays = [scans for i in sorted(self._submaps) for scans in self._submaps[i]]
         anew = self._quantiser is None or len(stays) >= _QUANTISED_GROWTH * self._quantised_at
         if self._quantiser is None or anew:

@@ -209,7 +209,7 @@ class LoopCloser:
             stays = [(old, self._submaps[old][::-1]) for old in ranked]  # the latest first
             stays += [(old, [stay]) for old, stay in self._expected(new)[:CANDIDATES]]
             found = [self._best_match(new, claims[old], of_old) for old, of_old in stays]
-            closures = self._with_one_merge(new, [c for c in found if c is not None])
+            closures = self._with_one_merge(new, found)
             closures.sort(key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
         else:
             closures = self._claimed(new, claims)
@@ -254,23 +254,18 @@ class LoopCloser:
         for old, other in [each for each in self._expected(stay) if each[0] != own][:CANDIDATES]:
             claims = self._claims[number].get(old) or self._claims[old].get(own, _NO_CLAIMS)
             found.append(self._best_match(stay, claims, [other]))
-        told = self._with_one_merge(stay, [closure for closure in found if closure is not None])
-        return [closure for closure in told if closure.merged]
+        return [closure for closure in self._with_one_merge(stay, found) if closure.merged]
 
     def _claimed(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
         if len(claims) < 2:
             return []
-        ranked = sorted(claims, key=lambda i: (-claims[i].xi, i))
-        closures = []
-        for old in ranked:
-            merged = old == ranked[0] and claims[old].xi >= self.config.xi_threshold
-            reason = (
-                "xi passes the threshold" if merged else "xi below the threshold or not the best"
-            )
-            by_xi = Decision(False, merged, reason)
-            closures.append(_closure(new.number, old, claims[old], by_xi))
-        return closures
+        best, *others = sorted(claims, key=lambda i: (-claims[i].xi, i))
+        no = by_xi = Decision(False, False, "xi below the threshold or not the best")
+        if claims[best].xi >= self.config.xi_threshold:
+            by_xi = Decision(False, True, "xi passes the threshold")
+        rest = [_closure(new.number, old, claims[old], no) for old in others]
+        return [_closure(new.number, best, claims[best], by_xi), *rest]
 
     def _expected(self, new: Stay) -> list[tuple[int, Stay]]:
         """The submaps, and which stay of each, that tracking says the robot has come back to.
@@ -288,10 +283,7 @@ class LoopCloser:
         return [(old, stay) for _, old, stay in found]
 
     def _best_match(self, new: Stay, claims: Claims, stays: Sequence[Stay]) -> Closure | None:
-        """The best match of a stay with the first few of an old submap's stays.
-
-        None when all of these were compared before.
-        """
+        """The best match with the first few of some stays; None when all were compared before."""
         found: list[Closure] = []
         for stay in stays[:_MEMBERS]:
             pair = min(stay.number, new.number), max(stay.number, new.number)
@@ -308,12 +300,9 @@ class LoopCloser:
             default=None,
         )
 
-    def _with_one_merge(self, new: Stay, closures: list[Closure]) -> list[Closure]:
-        """The closures of a new stay with the best of the merges alone left as one.
-
-        Of those that match nearly as well the one is right that moves the stay least from where
-        tracking put it. Twin rooms are a room apart.
-        """
+    def _with_one_merge(self, new: Stay, found: Sequence[Closure | None]) -> list[Closure]:
+        """Closures with one merge: of those that match as well, that which moves the stay least."""
+        closures = [closure for closure in found if closure is not None]
         merges = [closure for closure in closures if closure.merged]
         enough = max((closure.score for closure in merges), default=0.0) - MIN_LEAD
         ranked: list[tuple[float, float, int]] = []

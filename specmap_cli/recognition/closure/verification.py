@@ -56,29 +56,15 @@ _FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 ImageArray = NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KnownArea:
-    """What a grid knows of each cell, of `resolution` metres from `origin`.
-
-    `known` (H, W) whether it was seen, or lies next to what was; `at_wall` (H, W) whether it is so
-    near a wall that another grid's wall agrees there, `open` (H, W) whether one contradicts: it is
-    far from walls, and deep in free space.
-    """
-
-    known: BoolArray
-    at_wall: BoolArray
-    open: BoolArray
-    resolution: float
-    origin: tuple[float, float]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PreparedGrid:
     """One `grid` prepared for matching, in its own frame.
 
     `walls` (N, 2) points of the occupied cells, each for `metres_a_point` of wall; `direction` of
-    its walls in [0, pi / 2) rad. What the older grid of a match alone needs is made when asked for:
-    many a grid is only ever the newer one.
+    its walls in [0, pi / 2) rad. `known` (H, W) are the cells that were seen, or lie next to such
+    ones; `at_wall` (H, W) those so near a wall that another grid's wall agrees there, `open` (H, W)
+    those where one contradicts: far from walls, and deep in free space. What the older grid of a
+    match alone needs is made when asked for: many a grid is only ever the newer one.
     """
 
     grid: GridMap
@@ -86,7 +72,9 @@ class PreparedGrid:
     walls: FloatArray
     metres_a_point: float
     direction: float
-    area: KnownArea
+    known: BoolArray
+    at_wall: BoolArray
+    open: BoolArray
 
     @cached_property
     def wide(self) -> ScoreField:
@@ -122,13 +110,9 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
         walls=walls,
         metres_a_point=metres_a_point,
         direction=wall_direction(grid),
-        area=KnownArea(
-            known=known.view(np.bool_),
-            at_wall=at_wall,
-            open=open_,
-            resolution=grid.resolution,
-            origin=grid.origin,
-        ),
+        known=known.view(np.bool_),
+        at_wall=at_wall,
+        open=open_,
     )
 
 
@@ -166,7 +150,7 @@ def wall_direction(grid: GridMap) -> float:
 def headings(old: PreparedGrid, new: PreparedGrid) -> list[float]:
     """The headings old_from_new that lay walls along walls: aligned, and turned by quarters."""
     # the larger the cells, the more steps to either side of aligned walls are tried
-    cell_m = max(old.area.resolution, new.area.resolution)
+    cell_m = max(old.grid.resolution, new.grid.resolution)
     steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
     aligned = old.direction - new.direction
     return [
@@ -242,8 +226,8 @@ def verify(
 
 def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
     """How well two grids agree under a given transform."""
-    there = agreement(old.area, old_from_new.apply(new.walls))
-    back = agreement(new.area, old_from_new.inverse().apply(old.walls))
+    there = agreement(old, old_from_new.apply(new.walls))
+    back = agreement(new, old_from_new.inverse().apply(old.walls))
     contradicted = max(there.contradicted, back.contradicted)
     return Check(
         old_from_new=old_from_new,
@@ -286,9 +270,9 @@ class Agreement:
     inliers: int
 
 
-def agreement(area: KnownArea, points: FloatArray) -> Agreement:
-    """What an area says to points (N, 2) on walls, in its grid's frame."""
-    cells = np.floor((points - area.origin) / area.resolution).astype(np.intp)
+def agreement(area: PreparedGrid, points: FloatArray) -> Agreement:
+    """What a grid says to points (N, 2) on walls, in its frame."""
+    cells = np.floor((points - area.grid.origin) / area.grid.resolution).astype(np.intp)
     height, width = area.known.shape
     inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)
     columns, rows = cells[inside].T

@@ -24,7 +24,6 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import quoted
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.trees import (
-    CodeArray,
     Forest,
     Quantiser,
     Question,
@@ -233,19 +232,6 @@ def boosted(
     ]
 
 
-def boosted_trees(
-    names: Sequence[str],
-    codes: CodeArray,
-    quantiser: Quantiser,
-    questions: Sequence[Question],
-    rounds: int,
-    rng: np.random.Generator,
-) -> list[Booster]:
-    """The trees that answer each question about the bins (F, n) of features by a quantiser."""
-    forests = grown(codes, quantiser, questions, rounds, rng)
-    return [TreeBoost(tuple(names), forest) for forest in forests]
-
-
 def _best_stump(
     values: FloatArray, splits: NDArray[np.bool_], signed: FloatArray
 ) -> tuple[int, float, int, float]:
@@ -291,11 +277,13 @@ class OneVsAll:
             others = evenly(np.flatnonzero(owner != i), self.config.negatives)
             chosen = np.concatenate([np.flatnonzero(owner == i), others])
             questions.append(Question(chosen, owner[chosen] == i))
+        boosters: list[Booster]
         if self.config.booster == "trees":
             quantiser = Quantiser.of(X)
             codes = quantiser.codes(X)
             del X  # of many scans it is most of the memory
-            boosters = boosted_trees(names, codes, quantiser, questions, rounds, rng)
+            forests = grown(codes, quantiser, questions, rounds, rng)
+            boosters = [TreeBoost(names, forest) for forest in forests]
         else:
             boosters = boosted(names, X, questions, rounds)
         return self.become(dict(zip(ids, boosters, strict=True)))

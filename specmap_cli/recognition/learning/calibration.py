@@ -169,9 +169,7 @@ class HeldOutMisfit:
 
 
 def held_out_misfit(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: NDArray[Any],
+    store: KeyframeStore, submaps: Mapping[int, Sequence[int]], poses: NDArray[Any]
 ) -> HeldOutMisfit:
     """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, Labels, PlanarScan
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -32,6 +32,37 @@ from specmap_cli.recognition.features.virtual import (
     outline,
     seen_from,
 )
+
+
+@dataclass(frozen=True)  # without slots: the owners are found once
+class Track:
+    """The keyframes of a map at `poses` (n, 3), and those of each submap, ascending.
+
+    Recordings after the first one begin with the keyframes `starts`.
+    """
+
+    store: KeyframeStore
+    poses: FloatArray
+    submaps: Mapping[int, Sequence[int]]
+    starts: Sequence[int] = ()
+
+    @classmethod
+    def of(cls, store: KeyframeStore, labels: Labels, starts: Sequence[int] = ()) -> Track:
+        """The keyframes that a store holds, as they are labelled."""
+        own = {int(i): np.flatnonzero(labels.submaps == i) for i in np.unique(labels.submaps)}
+        return cls(store, labels.poses, {i: numbers.tolist() for i, numbers in own.items()}, starts)
+
+    @cached_property
+    def owner(self) -> NDArray[np.intp]:
+        """(n,) submap of every keyframe, NO_SUBMAP for none."""
+        owner = np.full(len(self.poses), NO_SUBMAP, dtype=np.intp)
+        for i, numbers in self.submaps.items():
+            owner[np.asarray(numbers, dtype=np.intp)] = i
+        return owner
+
+    def by_recording(self, numbers: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+        """Keyframes (n,), ascending, by recording."""
+        return np.split(numbers, np.searchsorted(numbers, np.array(self.starts, dtype=np.intp)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,24 +158,17 @@ _PLACE_M, _CHORD = 0.5, 0.5  # keyframes so far apart, or so much turned, are as
 _OUTLINES_KEPT = 256  # a few megabytes
 
 
-def raw_samples(
-    submaps: Mapping[int, Sequence[int]],
-    config: Config,
-    features: KeyframeFeatures,
-    starts: Sequence[int] = (),
-) -> dict[int, Samples]:
-    """The raw scans of every submap that are learned from.
+def raw_samples(track: Track, config: Config, features: KeyframeFeatures) -> dict[int, Samples]:
+    """The raw scans of every submap that are learned from, evenly spread over the recordings.
 
-    `features` are those known so far. A submap that was seen often is learned from some of its
-    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
-    all from those whose features are known, which were chosen evenly, too.
+    Scans whose `features` are known come first.
     """
     samples = {}
-    for i, numbers in submaps.items():
+    for i, numbers in track.submaps.items():
         own = np.asarray(numbers, dtype=np.intp)
-        wanted = _by_recording(evenly(own, config.recognition.positives), starts)
+        wanted = track.by_recording(evenly(own, config.recognition.positives))
         chosen: list[int] = []
-        for recorded, share in zip(_by_recording(own, starts), wanted, strict=True):
+        for recorded, share in zip(track.by_recording(own), wanted, strict=True):
             known = evenly(np.array(features.known(recorded.tolist()), dtype=np.intp), len(share))
             others = evenly(np.setdiff1d(recorded, known), len(share) - len(known))
             chosen += sorted([*known.tolist(), *others.tolist()])
@@ -152,44 +176,31 @@ def raw_samples(
     return samples
 
 
-def _by_recording(numbers: NDArray[np.intp], starts: Sequence[int]) -> list[NDArray[np.intp]]:
-    """Keyframes (n,), ascending, by recording; those after the first one begin at `starts`."""
-    return np.split(numbers, np.searchsorted(numbers, np.asarray(starts, dtype=np.intp)))
-
-
 def track_samples(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
-    localization: LocalizationConfig,
-    known: Samples = NO_SAMPLES,
-    starts: Sequence[int] = (),
+    track: Track, localization: LocalizationConfig, known: Samples = NO_SAMPLES
 ) -> dict[int, Samples]:
     """Virtual scans of every submap, of what was seen of late along the track.
 
-    They need no grids. Recordings of which some are `known` are not looked at again; recordings
-    after the first one begin at `starts`.
+    They need no grids. Recordings of which some are `known` are not looked at again.
     """
-    owner = owners_of(submaps, len(poses))
-    numbers = np.flatnonzero(owner != NO_SUBMAP)
-    wanted = _by_recording(evenly(numbers, localization.track_samples), starts)
+    numbers = np.flatnonzero(track.owner != NO_SUBMAP)
+    wanted = track.by_recording(evenly(numbers, localization.track_samples))
     found: list[Samples] = []
-    for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
+    for own, share in zip(track.by_recording(numbers), wanted, strict=True):
         before = of_keyframes(known, own.tolist())
         if len(before.keyframes):
             # not every other one, as these are of equal windows
             order = np.random.default_rng(len(before.keyframes)).permutation(len(before.keyframes))
             found.append(before.rows(np.sort(order[: len(share)])))
         elif len(share):
-            scans = _in_windows(store, own, set(share.tolist()), poses)
+            scans = _in_windows(track, own, set(share.tolist()))
             found.append(Samples(scans_features(scans, localization.feature_set), share))
     every = together(found)
-    return {i: every.rows(owner[every.keyframes] == i) for i in sorted(submaps)}
+    return {i: every.rows(track.owner[every.keyframes] == i) for i in sorted(track.submaps)}
 
 
 def cast_samples(
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
+    track: Track,
     grids: Mapping[int, GridMap],
     localization: LocalizationConfig,
     rng: np.random.Generator,
@@ -197,16 +208,14 @@ def cast_samples(
 ) -> dict[int, Samples]:
     """Virtual scans of every submap, cast from free cells near its track.
 
-    Half of them are dealt out evenly, half by area. In submaps of which some are `known` none are
-    cast again.
+    Half are dealt out evenly, half by area; none in submaps of which some are `known`.
     """
-    owner = owners_of(submaps, len(poses))
-    samples = {}
+    owner, samples = track.owner, {}
     whole = sum(grid.free_area_m2 for grid in grids.values())
     even = _ALIKE_SHARE / len(grids)
     tracked = np.flatnonzero(owner != NO_SUBMAP)
-    tree = cKDTree(poses[tracked, :2])
-    for i in sorted(submaps):
+    tree = cKDTree(track.poses[tracked, :2])
+    for i in sorted(track.submaps):
         by_area = (1.0 - _ALIKE_SHARE) * grids[i].free_area_m2 / whole if whole > 0.0 else even
         count = round(localization.augmentation * (even + by_area))
         before = known.rows(owner[known.keyframes] == i)
@@ -218,7 +227,7 @@ def cast_samples(
         if len(cells) and count:
             chosen = cells[rng.integers(len(cells), size=_DRAWS * count)]
             drawn = grids[i].centres_of(np.column_stack(divmod(chosen, grids[i].cells.shape[1])))
-        map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
+        map_from_submap = Pose2(*track.poses[track.submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
         origins = drawn[near][:count]
@@ -228,29 +237,16 @@ def cast_samples(
     return samples
 
 
-def owners_of(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.intp]:
-    """(count,) submap of every keyframe, NO_SUBMAP for none."""
-    owner = np.full(count, NO_SUBMAP, dtype=np.intp)
-    for i, numbers in submaps.items():
-        owner[np.asarray(numbers, dtype=np.intp)] = i
-    return owner
-
-
 def _in_windows(
-    store: KeyframeStore,
-    numbers: NDArray[np.intp],
-    sampled: Collection[int],
-    poses: FloatArray,
+    track: Track, numbers: NDArray[np.intp], sampled: Collection[int]
 ) -> Iterator[PlanarScan]:
-    """What the window showed at each of the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
+    """What the window, moved over keyframes `numbers`, showed at those `sampled`."""
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
-        pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
-        window.add(pose, mounting, partial(store.scan, number))
+        pose = Pose2(*track.poses[number].tolist())
+        mounting = track.store.base_from_laser(number)
+        window.add(pose, mounting, partial(track.store.scan, number))
         if number in sampled:
             share = _WINDOW_SHARES[turn % len(_WINDOW_SHARES)]
             yield window.scan(0, pose @ mounting, share)
@@ -258,25 +254,20 @@ def _in_windows(
 
 
 def augmented_samples(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
-    config: Config,
-    rng: np.random.Generator,
-    known: Samples = NO_SAMPLES,
+    track: Track, config: Config, rng: np.random.Generator, known: Samples = NO_SAMPLES
 ) -> dict[int, Samples]:
     """Scans of every submap, seen from beside its keyframes, with the nearest of these.
 
     A submap gets as many as it lacks of `recognition.augmentation` scans, or fewer: what comes to
     lie in another submap is left out. Those that are `known` are not made again.
     """
-    owner = owners_of(submaps, len(poses))
+    poses, owner = track.poses, track.owner
     numbers = np.flatnonzero(owner != NO_SUBMAP)
     kept, sources, moved = {}, [], []
-    for i in sorted(submaps):
-        own = np.asarray(submaps[i], dtype=np.intp)
+    for i, keyframes in sorted(track.submaps.items()):
+        own = np.asarray(keyframes, dtype=np.intp)
         lacking = max(0, config.recognition.augmentation - len(own))
-        before = of_keyframes(known, submaps[i])
+        before = of_keyframes(known, keyframes)
         kept[i] = before.rows(evenly(np.arange(len(before.keyframes)), lacking))
         lacking -= len(kept[i].keyframes)
         evenly_spread = np.linspace(0, len(own) - 1, lacking).astype(np.intp)
@@ -288,7 +279,7 @@ def augmented_samples(
     placed = poses[source] + np.vstack(moved)
     nearest = numbers[cKDTree(poses[numbers, :2]).query(placed[:, :2])[1]]
     inside = owner[nearest] == owner[source]
-    scans = _seen_from(store, poses, numbers, source[inside], placed[inside])
+    scans = _seen_from(track, numbers, source[inside], placed[inside])
     made = Samples(scans_features(scans, config.recognition.feature_set), nearest[inside])
     samples = {}
     for i, before in kept.items():
@@ -298,16 +289,11 @@ def augmented_samples(
 
 
 def _seen_from(
-    store: KeyframeStore,
-    poses: FloatArray,
-    numbers: NDArray[np.intp],
-    sources: NDArray[np.intp],
-    placed: FloatArray,
+    track: Track, numbers: NDArray[np.intp], sources: NDArray[np.intp], placed: FloatArray
 ) -> Iterator[PlanarScan]:
-    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
+    """What lasers of `sources` (k,) would see from `placed` (k, 3), by what `numbers` saw."""
 
-    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
-    """
+    store, poses = track.store, track.poses
 
     @lru_cache(_OUTLINES_KEPT)
     def outline_of(keyframe: int) -> FloatArray:

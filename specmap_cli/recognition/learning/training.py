@@ -8,7 +8,7 @@ told by the classifiers that the map had before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, travelled
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.core.settings import Config, RecognitionConfig
-from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
+from specmap_cli.grids.keyframes import DIRECTION_RAD
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import (
     HELD_OUT_REACH_M,
@@ -26,18 +26,13 @@ from specmap_cli.recognition.learning.calibration import (
     Familiarity,
     HeldOutMargins,
 )
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.sampling import Samples, views
 
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
 _UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
 _CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
 _EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
-
-
-def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
-    """The laser of the first keyframe that is in a submap."""
-    return Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
 
 
 def train_and_test(
@@ -101,11 +96,7 @@ def held_out_margins(
     config: RecognitionConfig,
     rng: np.random.Generator,
 ) -> HeldOutMargins:
-    """The margins of the samples `tested` by classifiers that learn from those `learned`.
-
-    A submap that is not learned, since nothing is left of it, claims nothing. There are no margins
-    where fewer than two submaps are left to tell apart.
-    """
+    """The margins of samples `tested` by what is `learned`; none of fewer than two submaps."""
     ids = sorted(learned)
     rest = {i: samples.features for i, samples in learned.items() if len(samples.features)}
     asked = {i: samples for i, samples in tested.items() if i in rest and len(samples.features)}
@@ -125,15 +116,13 @@ def held_out_margins(
 class Revisits:
     """The `classifiers` of a map before the recording whose keyframes begin at number `first`.
 
-    The keyframes of both lie at `poses` (n, 3), in `submaps` (n,). A place is known that lies
-    near one where the robot was in the submap, the nearer the more it faced another way, unless the
-    laser looks all round.
+    `labels` are the keyframes of both. A place is known that lies near one where the robot was in
+    the submap, the nearer the more it faced another way, unless the laser looks all round.
     """
 
     classifiers: ClassifierSet
     first: int
-    poses: FloatArray
-    submaps: IntArray
+    labels: Labels
 
     def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
@@ -141,10 +130,10 @@ class Revisits:
         told_apart = 2 if self.classifiers.sensor.full_circle else 4  # it does not matter where to
         features, true = [], []
         for i in sorted(column.keys() & samples.keys()):
-            before = np.flatnonzero(self.submaps[: self.first] == i)
+            before = np.flatnonzero(self.labels.submaps[: self.first] == i)
             own = samples[i].rows(samples[i].keyframes >= self.first)
             then, now = (
-                views(self.poses[keyframes], HELD_OUT_REACH_M, _CHORD)[:, :told_apart]
+                views(self.labels.poses[keyframes], HELD_OUT_REACH_M, _CHORD)[:, :told_apart]
                 for keyframes in (before, own.keyframes)
             )
             known = cKDTree(then).query(now)[0] < 1.0

@@ -212,10 +212,7 @@ def _heavy(weights: FloatArray, counts: IndexArray) -> IndexArray:
 
 
 def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """The best tree of each question on the features drawn: feature and cut (C, 3) of its nodes.
-
-    `codes` (K, N) are those features' bins. A sample goes above where its bin passes the cut.
-    """
+    """The best tree of each question on bins `codes` (K, N): feature and cut (C, 3) a node."""
     count, drawn = len(asked.counts), len(codes)
     shape = (count, drawn, 2, BINS)
     own = codes.take(asked.samples, axis=1)

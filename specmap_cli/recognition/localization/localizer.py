@@ -229,10 +229,7 @@ class Localizer:
         )
 
     def _filtered(self, label: Label, belief: FloatArray) -> Label:
-        """The label with the most likely submap; unknown, the last state, where none is so likely.
-
-        That is when all submaps together are less likely than it.
-        """
+        """The label with the likeliest submap; unknown if all of them together are less likely."""
         unknown = len(self.filter.ids)
         state = unknown if belief[unknown] > belief[:unknown].sum() else int(belief[:-1].argmax())
         submap = self.filter.ids[state] if state < unknown else None
@@ -258,48 +255,44 @@ def _looking_back(told: Sequence[Where]) -> list[Fix | None]:
     return filled[::-1]
 
 
-class BeamSampler:
-    """Makes scans of the laser `seen` look like those of `known`, which the classifiers know.
+def resampling(seen: Sensor, known: Sensor) -> str:
+    """What is said of scans of the laser `seen` that are made to look like those of `known`.
 
-    Raises InputError when the laser seen sees less than that of the map did.
+    Empty where they look the same. Raises InputError when the laser seen sees less.
     """
-
-    def __init__(self, seen: Sensor, known: Sensor) -> None:
-        self.known = known
-        self.same = seen.sees_as(known)
-        self.note = (
-            "" if self.same else f"the laser ({seen}) is resampled to that of the map ({known})"
+    narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
+    if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
+        raise InputError(
+            f"the laser ({seen}) sees less than that of the map ({known})",
+            "build the map again with this laser",
+            mark=";",
         )
-        narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
-        if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
-            raise InputError(
-                f"the laser ({seen}) sees less than that of the map ({known})",
-                "build the map again with this laser",
-                mark=";",
-            )
-
-    def apply(self, scan: PlanarScan) -> PlanarScan:
-        """The scan at the known laser's bearings, cut to its range."""
-        if self.same or not len(scan.bearings):
-            return scan
-        wanted, turn = self.known.bearings(), 2.0 * math.pi
-        # of the scan's bearings, which ascend, the nearest to each wanted one, around the circle
-        around = np.concatenate([scan.bearings - turn, scan.bearings, scan.bearings + turn])
-        right = np.clip(np.searchsorted(around, wanted), 1, len(around) - 1)
-        left_is_nearer = wanted - around[right - 1] < around[right] - wanted
-        ranges = scan.ranges[(right - left_is_nearer) % len(scan.bearings)]
-        with np.errstate(invalid="ignore"):
-            ranges = np.where(ranges >= self.known.range_max, np.inf, ranges)
-        return PlanarScan(
-            stamp_ns=scan.stamp_ns,
-            bearings=wanted,
-            ranges=ranges,
-            range_max=self.known.range_max,
-            full_circle=self.known.full_circle,
-        )
+    same = seen.sees_as(known)
+    return "" if same else f"the laser ({seen}) is resampled to that of the map ({known})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def resampled(scan: PlanarScan, known: Sensor) -> PlanarScan:
+    """The scan at the known laser's bearings, cut to its range."""
+    if not len(scan.bearings):
+        return scan
+    wanted, turn = known.bearings(), 2.0 * math.pi
+    # of the scan's bearings, which ascend, the nearest to each wanted one, around the circle
+    around = np.concatenate([scan.bearings - turn, scan.bearings, scan.bearings + turn])
+    right = np.clip(np.searchsorted(around, wanted), 1, len(around) - 1)
+    left_is_nearer = wanted - around[right - 1] < around[right] - wanted
+    ranges = scan.ranges[(right - left_is_nearer) % len(scan.bearings)]
+    with np.errstate(invalid="ignore"):
+        ranges = np.where(ranges >= known.range_max, np.inf, ranges)
+    return PlanarScan(
+        stamp_ns=scan.stamp_ns,
+        bearings=wanted,
+        ranges=ranges,
+        range_max=known.range_max,
+        full_circle=known.full_circle,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class ClassifiedScan:
     """What is said of one scan, and of the last virtual one of the window before it.
 
@@ -320,10 +313,7 @@ class ClassifiedScan:
 
 
 class ScanClassifier:
-    """Asks the classifiers of a map of the scans of a log, in turn.
-
-    `note` says how the log's laser is made to fit the classifiers; empty when it is the same.
-    """
+    """Asks a map's classifiers of a log's scans; `note` says how these are made to fit."""
 
     def __init__(self, classifiers: ClassifierSet, config: LocalizationConfig) -> None:
         self.classifiers = classifiers
@@ -332,21 +322,19 @@ class ScanClassifier:
         self._recent = RecentScans()
         self._windows: list[PosedScan] = []  # the last virtual scan, as long as there is one
         self._said = np.zeros((0, len(classifiers.ids) + 1))  # of it: its margins, how strange
-        self._sampler: BeamSampler | None = None
+        self._seen: Sensor | None = None  # the log's laser, once a scan has shown it
         self.note = ""
 
     def classified(self, scans: Sequence[PosedScan]) -> list[ClassifiedScan]:
-        """What is said of the next scans, in turn; many at once are cheaper than one by one.
-
-        Where tracking starts afresh the window does, too. Raises InputError when the laser sees too
-        little.
-        """
+        """What is said of the next scans: many at once are cheaper. Raises as `resampling`."""
         raw = self.classifiers.raw
-        if self._sampler is None:
-            self._sampler = BeamSampler(Sensor.of(scans[0].planar), self.classifiers.sensor)
-            self.note = self._sampler.note
-        resampled = [self._sampler.apply(posed.planar) for posed in scans]
-        features = scans_features(resampled, raw.feature_set)
+        if self._seen is None:
+            laser = Sensor.of(scans[0].planar)
+            self.note, self._seen = resampling(laser, self.classifiers.sensor), laser
+        planar = [posed.planar for posed in scans]
+        if self.note:
+            planar = [resampled(scan, self.classifiers.sensor) for scan in planar]
+        features = scans_features(planar, raw.feature_set)
         margins, strange = raw.margins(features), raw.strangeness(features)
         alone = both = self._calibration.alone(margins)
         seen, shown = list(scans), [1.0] * len(scans)
@@ -366,24 +354,11 @@ class ScanClassifier:
                 for posed, k in zip(scans, of_window, strict=True)
             ]
             self._windows, self._said = self._windows[-1:], said[-1:]
-        return [
-            ClassifiedScan(
-                margins=margins[k],
-                raw=alone[k],
-                all=both[k],
-                strange=float(strange[k]),
-                seen=seen[k],
-                shown=shown[k],
-            )
-            for k in range(len(scans))
-        ]
+        columns = margins, alone, both, strange.tolist(), seen, shown
+        return [ClassifiedScan(*each) for each in zip(*columns, strict=True)]
 
     def _driven(self, scans: Sequence[PosedScan]) -> tuple[list[int], list[float]]:
-        """The number of each scan's virtual one, and how much of the surroundings this holds.
-
-        It is what a full circle would have seen of the last metres, from where the last scan was
-        added to these: in between nothing new is seen.
-        """
+        """The number of each scan's virtual one, and how much of the surroundings this holds."""
         of_window, shown = list[int](), list[float]()
         view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
         for posed in scans:

@@ -23,13 +23,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.grids.score_field import Sample, ScoreField
 from specmap_cli.recognition.features.virtual import WINDOW_M
-from specmap_cli.recognition.localization.filtering import (
-    LEAP,
-    SMALLEST,
-    VIEW_M,
-    VIEW_RAD,
-    novelty,
-)
+from specmap_cli.recognition.localization.filtering import LEAP, SMALLEST, VIEW_M, VIEW_RAD, novelty
 from specmap_cli.recognition.localization.walls import SAME, Fitted, MapWalls, View, is_near
 
 # What the motion may be off by: between any two scans, after a metre, after a radian. Registration
@@ -258,8 +252,7 @@ class WeighedPlaces:
     def _keep(self, places: Sequence[Place], belief: FloatArray) -> None:
         """Go on with the likeliest of some places that are not far behind, each of them once.
 
-        No more is remembered in favour of a place than a leap away from it is unlikely. What they
-        differ by stays as it is.
+        No more is remembered in favour of a place than a leap away from it is unlikely.
         """
         most = -math.log(LEAP)
         over = max(0.0, max((each.weight for each in places), default=most) - most)

@@ -23,14 +23,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import (
-    FREE,
-    UNKNOWN,
-    GridMap,
-    LengthArray,
-    cast_rays,
-    nearest_values,
-)
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap, LengthArray, cast_rays, nearest_values
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
@@ -146,10 +139,7 @@ class MapWalls:
 
     @cached_property
     def _open(self) -> NDArray[Any]:
-        """(H, W) the share of the own scans' rays that go on behind a wall, where they meet it.
-
-        Those of panes and railings do, and of thin things between which a laser looks.
-        """
+        """(H, W) the share of the own scans' rays at a wall that go on: panes and railings."""
         met = np.zeros((2, *self.grid.cells.shape), dtype=np.float32)  # all rays; those that go on
         scans = iter(self._own())
         while together := list(islice(scans, _SCANS_AT_ONCE)):
@@ -213,9 +203,7 @@ class MapWalls:
     def _weighed(self, found: Sequence[Fitted]) -> list[Fitted]:
         """Places that a search found, the best the better if it stands out among them.
 
-        What fits by chance fits nearly as well in several places. So a place that stands out may be
-        the right one where the map saw little of what is seen there. Places that are alike say
-        nothing: a map has such.
+        What fits by chance fits nearly as well in several places; alike places say nothing.
         """
         best = found[0]
         others = [each.misfit for each in found if not is_near(best.pose, each.pose, BESIDE)]
@@ -228,10 +216,7 @@ class MapWalls:
         return [replace(best, against=against), *found[1:]]
 
     def _off_walls(self, points: FloatArray, pose: Pose2) -> tuple[float, float]:
-        """Share of points (N, 2) off the walls at a pose; those that say little count little.
-
-        And the share of those that are somebody, or a thing that was moved.
-        """
+        """Shares of points (N, 2) off the walls, and on bodies; some count little."""
         placed = pose.apply(points)
         off = 1.0 - np.asarray(self.field.at(placed), dtype=np.float64)
         cells, clear = self.grid.values_at(placed), off > _OFF
@@ -242,10 +227,7 @@ class MapWalls:
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:
-        """Share of a scan's returns behind walls within reach, beyond what the own scans had there.
-
-        0 without returns.
-        """
+        """Share of returns behind walls, beyond what the own scans had there; 0 without returns."""
         past, cells, walled = self._met([(posed, pose)])
         behind = float(past.sum()) / max(len(past), 1)
         if behind > self._known:  # so many are rare, but where there are panes

@@ -207,7 +207,7 @@ def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
 def test_the_border_of_a_grid_is_no_end_of_free_space() -> None:
     cells = np.full((40, 40), FREE, dtype=np.uint8)
     cells[20, 5:35] = OCCUPIED
-    area = ready(GridMap(cells, 0.05)).area
+    area = ready(GridMap(cells, 0.05))
     assert area.known.all()
     assert area.open[:10].all()
     assert not area.open[15:26, 5:35].any()
@@ -219,5 +219,5 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     cells[19, 2:38] = OCCUPIED
     cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
     turn("recognition", inlier_m=inlier_m)
-    middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
+    middle = ready(GridMap(cells, 0.05)).known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))

@@ -20,7 +20,7 @@ from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning import trees
-from specmap_cli.recognition.learning.boosting import Booster, OneVsAll, StumpBoost, boosted_trees
+from specmap_cli.recognition.learning.boosting import Booster, OneVsAll, StumpBoost, TreeBoost
 from specmap_cli.recognition.learning.trees import (
     BINS,
     CodeArray,
@@ -53,7 +53,7 @@ def trees_of(X: FloatArray, y: FloatArray, rounds: int = 15, share: float = 0.1)
     turn("recognition", feature_share=share)
     quantiser, question = Quantiser.of(X), Question(np.arange(len(X)), y > 0.0)
     names, rng = NAMES[: X.shape[1]], np.random.default_rng(0)
-    return boosted_trees(names, quantiser.codes(X), quantiser, [question], rounds, rng)[0]
+    return TreeBoost(names, *grown(quantiser.codes(X), quantiser, [question], rounds, rng))
 
 
 of_both_kinds = pytest.mark.parametrize("fitted", [stumps_of, trees_of])

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import Labels, PlanarScan
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names, histogram_columns
 from specmap_cli.recognition.learning.boosting import OneVsAll
@@ -256,17 +256,15 @@ def revisits(
 ) -> Revisits:
     """A map of keyframe 0 in submap 1 and 1 in submap 4, and a recording at some places of 1."""
     sensor = Sensor(beams=180, field_of_view=math.pi, range_max=20.0, full_circle=full_circle)
-    return Revisits(
-        classifiers=ClassifierSet(sensor=sensor, raw=recogniser),
-        first=FIRST,
-        poses=np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), *places]),
-        submaps=np.array([1, 4, *[1] * len(places)]),
-    )
+    poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), *places])
+    submaps = np.array([1, 4, *[1] * len(places)])
+    labels = Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=submaps)
+    return Revisits(ClassifierSet(sensor=sensor, raw=recogniser), FIRST, labels)
 
 
 def asked(found: Revisits) -> Samples:
     """A sample of every keyframe of submap 1."""
-    own = np.flatnonzero(found.submaps == 1)
+    own = np.flatnonzero(found.labels.submaps == 1)
     return Samples(features(*np.linspace(0.0, 0.2, len(own)).tolist()), own)
 
 

@@ -12,6 +12,7 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import Labels
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -32,6 +33,7 @@ from specmap_cli.recognition.learning.sampling import (
     NO_SAMPLES,
     NO_TRAINING_DATA,
     Samples,
+    Track,
     TrainingData,
     augmented_samples,
     cast_samples,
@@ -40,7 +42,7 @@ from specmap_cli.recognition.learning.sampling import (
     together,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
+from specmap_cli.recognition.learning.training import _EXEMPLARS, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.casting import store_of
 from tests.recognition.posed import walls_of
@@ -65,6 +67,10 @@ def store(building: Any) -> Iterator[KeyframeStore]:
         yield made
 
 
+def track(store: KeyframeStore, submaps: Any = SUBMAPS, starts: tuple[int, ...] = ()) -> Track:
+    return Track(store, store.poses, submaps, starts)
+
+
 @pytest.fixture(scope="module")
 def grids(store: KeyframeStore) -> dict[int, GridMap]:
     """The grid of each room in the frame of its first keyframe."""
@@ -82,7 +88,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked = watched(monkeypatch, KeyframeFeatures, "of")
-    raw_samples(SUBMAPS, config, features)
+    raw_samples(track(store), config, features)
     (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
@@ -99,7 +105,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
     }
-    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    beside = augmented_samples(track(store), config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
     both = {i: np.vstack([X, beside[i].features]) for i, X in samples.items()}
     classifiers = OneVsAll("table1", config.recognition).fit(both, np.random.default_rng(0))
@@ -107,7 +113,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
-    shared = raw_samples(SUBMAPS, config, known)
+    shared = raw_samples(track(store), config, known)
     rng = np.random.default_rng(0)
     again, _ = train_and_test(shared, beside, store.poses, config, rng, virtual=False)
     assert again.to_dict() == learned.to_dict()
@@ -117,7 +123,8 @@ def learned(store: KeyframeStore, config: Config) -> Learned:
     """What a build learns of two submaps, with the keyframes that lie between in the former."""
     labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
     session = Session(config, store)
-    return learn(session, labels, store.poses, Prior.of(session))
+    known = Labels(stamps_ns=np.arange(len(labels)), poses=store.poses, submaps=labels)
+    return learn(session, known, Prior.of(session))
 
 
 def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:
@@ -125,14 +132,10 @@ def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) 
     assert learned(store, settings(virtual=False)).classifiers.virtual is None
 
 
-def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeStore) -> None:
-    assert sensor_of(store, SUBMAPS).beams == 180
-    assert sensor_of(store, {5: [70, 71], 1: [60, 61]}).full_circle
-
-
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
-    samples = raw_samples(SUBMAPS, config, KeyframeFeatures(store, config.recognition.feature_set))
-    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    features = KeyframeFeatures(store, config.recognition.feature_set)
+    samples = raw_samples(track(store), config, features)
+    beside = augmented_samples(track(store), config, np.random.default_rng(0))
     rng = np.random.default_rng(0)
     return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]
 
@@ -141,9 +144,8 @@ def samples_of(
     store: KeyframeStore, grids: dict[int, GridMap], seed: int = 0, **localization: Any
 ) -> dict[int, FloatArray]:
     config = settings(**localization).localization
-    rng = np.random.default_rng(seed)
-    along = track_samples(store, SUBMAPS, store.poses, config)
-    cast = cast_samples(SUBMAPS, store.poses, grids, config, rng)
+    along = track_samples(track(store), config)
+    cast = cast_samples(track(store), grids, config, np.random.default_rng(seed))
     return {i: np.vstack([along[i].features, cast[i].features]) for i in SUBMAPS}
 
 
@@ -264,7 +266,7 @@ def beside(
     """Scans as taken beside the way, by which each submap has as many samples as are wanted."""
     config = Config(recognition=RecognitionConfig(feature_set="table1", augmentation=wanted))
     rng = np.random.default_rng(seed)
-    return augmented_samples(store, submaps, store.poses, config, rng, known)
+    return augmented_samples(track(store, submaps), config, rng, known)
 
 
 def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeStore) -> None:
@@ -352,20 +354,20 @@ def test_each_recording_gives_its_share_of_raw_scans_known_ones_first(store: Key
     config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
     nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(44, 62)
     known = nothing.knowing(numbers, np.ones((18, 52)))
-    found = raw_samples({2: SUBMAPS[2]}, config, known, STARTS)[2]
+    found = raw_samples(track(store, {2: SUBMAPS[2]}, STARTS), config, known)[2]
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 5
     assert (found.features[old] == 1.0).all()
     assert not (found.features[~old] == 1.0).all(axis=1).any()
     known = nothing.knowing(numbers, np.ones((18, 52)))
-    alone = raw_samples({2: SUBMAPS[2]}, config, known)[2]
+    alone = raw_samples(track(store, {2: SUBMAPS[2]}), config, known)[2]
     assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
 
 
 def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: KeyframeStore) -> None:
-    anew = track_samples(store, SUBMAPS, store.poses, VIRTUAL, starts=STARTS)
+    anew = track_samples(track(store, SUBMAPS, STARTS), VIRTUAL)
     before = Samples(np.ones((25, 52)), np.arange(10, 35))
-    again = track_samples(store, SUBMAPS, store.poses, VIRTUAL, before, STARTS)
+    again = track_samples(track(store, SUBMAPS, STARTS), VIRTUAL, before)
     found, fresh = together(again.values()), together(anew.values())
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 23  # of thirty, as 58 of 76 keyframes are in the first recording
@@ -376,7 +378,7 @@ def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: Keyfra
 
 def test_known_casts_are_not_cast_again(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
     known, rng = Samples(np.ones((40, 52)), np.full(40, 50)), np.random.default_rng(0)
-    found = cast_samples(SUBMAPS, store.poses, grids, VIRTUAL, rng, known)
+    found = cast_samples(track(store), grids, VIRTUAL, rng, known)
     assert (found[2].features == 1.0).all()
     assert 0 < len(found[2].features) < 24
     assert not (found[0].features == 1.0).all(axis=1).any()

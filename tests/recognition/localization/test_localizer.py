@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
+from specmap_cli.core.records import NO_SUBMAP, Labels, PlanarScan, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -29,7 +29,7 @@ from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
-from specmap_cli.recognition.localization.localizer import BeamSampler, Label, Localizer
+from specmap_cli.recognition.localization.localizer import Label, Localizer, resampled, resampling
 from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from tests.recognition.posed import posed, walls_of
@@ -71,7 +71,8 @@ def train(
         for scan in compress(tour, inside):
             store.append(scan)
         session = Session(config, store)
-        found = learn(session, labels[inside], store.poses, Prior.of(session))
+        known = Labels(stamps_ns=np.arange(len(store)), poses=store.poses, submaps=labels[inside])
+        found = learn(session, known, Prior.of(session))
     owner = np.where(np.isin(rooms, found.classifiers.ids), rooms, NO_SUBMAP)
     return Trained(found.classifiers, walls_of(plan, owner, found.classifiers.misfit))
 
@@ -287,16 +288,13 @@ HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=Fals
 
 def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
     scan = PlanarScan(0, np.radians(np.arange(-180.0, 180.0)), np.ones(360), 30.0, full_circle=True)
-    sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan))
-    assert sampler.note == ""
-    assert sampler.apply(scan) is scan
-    sampler = BeamSampler(Sensor.of(scan), HALF)
-    assert sampler.note == (
+    assert resampling(Sensor.of(scan), Sensor.of(scan)) == ""
+    assert resampling(Sensor.of(scan), HALF) == (
         "the laser (360 beams over 360 degrees, 30 m) is resampled to that of the map "
         "(181 beams over 180 degrees, 20 m)"
     )
     empty = replace(scan, bearings=np.zeros(0), ranges=np.zeros(0))
-    assert sampler.apply(empty) is empty
+    assert resampled(empty, HALF) is empty
 
 
 @given(
@@ -320,7 +318,7 @@ def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
     scan = PlanarScan(4, bearings, ranges, 30.0, full_circle=True)
     angle = 2.0 * math.pi if full else math.pi
     known = Sensor(beams=wanted, field_of_view=angle, range_max=20.0, full_circle=full)
-    made = BeamSampler(Sensor.of(scan), known).apply(scan)
+    made = resampled(scan, known)
     assert (made.stamp_ns, made.range_max, made.full_circle) == (4, 20.0, full)
     np.testing.assert_array_equal(made.bearings, known.bearings())
     gaps = np.abs(np.angle(np.exp(1j * (made.bearings[:, None] - bearings))))
@@ -348,7 +346,7 @@ def test_a_laser_that_sees_less_is_refused_in_one_line(seen: Sensor, refused: bo
         "build the map again with this laser"
     )
     with pytest.raises(InputError, match=re.escape(told)) if refused else nullcontext():
-        BeamSampler(seen, HALF)
+        resampling(seen, HALF)
 
 
 def test_what_looks_strange_because_somebody_stands_beside_is_not_held_against_walls_that_fit(
