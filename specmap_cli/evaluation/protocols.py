@@ -73,7 +73,10 @@ class ClassificationScores:
 
     @property
     def precision_of(self) -> dict[int, float]:
-        """Share of the scans labelled so that are of the class, 0 if it was never called."""
+        """Share of the scans labelled so that are of the class; nought when it was never called.
+
+        Of the classes with scans only: another cannot be right.
+        """
         called = self.confusion.sum(axis=0)
         return {
             i: float(self.confusion[k, k] / called[k]) if called[k] else 0.0
@@ -229,7 +232,9 @@ def score_hold_out(
 def labels_of(
     finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
 ) -> list[Label]:
-    """The labels of held-out scans in turn; the filter starts afresh after a gap."""
+    """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
+    a gap.
+    """
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)

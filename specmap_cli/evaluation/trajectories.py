@@ -49,7 +49,10 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelativeErrors:
-    """Errors of relative poses, metres and degrees; `matched` of `total` pairs were compared."""
+    """Errors of relative poses: translations in metres, rotations in degrees.
+
+    `matched` of `total` pairs could be compared.
+    """
 
     translation_m: Spread
     rotation_deg: Spread

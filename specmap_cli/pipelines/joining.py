@@ -209,7 +209,11 @@ def _both(
 
 
 def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
-    """The joint map with the edits of the `new` one, too; what says nothing of it is `lost`."""
+    """The joint map with the edits of the `new` one, beside those of the old one that it has.
+
+    The new map, whose keyframes are the last of the joint one, is divided as before a person moved
+    its borders. What says nothing of the joint map is added to what is `lost`.
+    """
     submaps = joint.labels.submaps[len(joint) - len(new) :]
     retelling = _Retelling(new, submaps, old_from_new, joint.next_id)
     changes: list[Change] = list(joint.edits.changes)

@@ -210,7 +210,10 @@ def refute(
 
 
 def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
-    """Which poses of tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way."""
+    """Which poses of two tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way.
+
+    Only those are turned that are no farther apart than that, which are few of the n times m.
+    """
     away = np.hypot(old[:, 0, None] - new[:, 0], old[:, 1, None] - new[:, 1])
 
     def apart(i: IntArray, j: IntArray) -> FloatArray:

@@ -205,7 +205,10 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
 
 
 def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray[np.uint8]:
-    """The predicted submaps along the way, over the map if scans were matched in it."""
+    """The predicted submap along the trajectory, over the map where scans were matched in it.
+
+    The colours are those of the map's overview. Without a pose the way is as it was tracked.
+    """
     from specmap_cli.drawing.overview import render_labels
     from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
 

@@ -68,7 +68,10 @@ Name = TypeVar("Name", str, int)
 
 
 def evidence_of(stored: Map, progress: Progress) -> Evidence:
-    """What a map's scans and classifiers tell; MapError for a file that is damaged."""
+    """What a map's scans and classifiers tell, as far as it has them.
+
+    Raises MapError for a file that is damaged.
+    """
     recogniser, notes = None, []
     if (stored.path / filenames.CLASSIFIERS).exists():
         recogniser = classifiers_of(stored).raw

@@ -73,7 +73,10 @@ def run_record(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapReport(ABC):
-    """A map that was made; `unapplied` tells which of a person's edits do not apply."""
+    """A map that was made: its directory, its run.json, and what is thought of it.
+
+    `unapplied` tells which of a person's edits do not apply.
+    """
 
     out: Path
     run: Mapping[str, Any]

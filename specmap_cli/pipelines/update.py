@@ -253,8 +253,10 @@ def _joined(
 def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> Thinned:
     """What is left of the `joint` map, its new space divided as a build of all would divide it.
 
-    The map of all recordings shows rooms as they are that one alone saw through a door only. The
-    keyframes of `old`, with which those of `joint` begin, stay in their submaps.
+    The recording that is added saw some rooms only through their doors, and so did those before it.
+    By itself its map may give a room that it entered to what lies beyond the next door, and the old
+    map may have given parts of it to the corridor. The map of all of them shows the room as it is.
+    The keyframes of `old`, with which those of `joint` begin, stay in their submaps.
     """
     laid = fewer.laid
     if laid.division is None:

@@ -215,9 +215,11 @@ _SEEN = 0.5  # share of a side that the other map must have seen
 
 
 def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
-    """The ways of a divided map that are blocked in another one, which saw a side at the least.
+    """The ways of a divided map that are blocked in another map, which saw one side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
+
+    In order of the pairs of submaps, then of the places.
     """
     grid, clearance = regions.grid, regions.grid.clearance()
     away_m, blocked = survey.grid.obstacle_distance(), []

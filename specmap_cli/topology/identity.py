@@ -346,7 +346,10 @@ _LEFT, _RIGHT = 1, 2
 
 
 def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
-    """The line moved on to the border of the cells `mine` (H, W); None where it crosses none."""
+    """The line from border to border of the cells `mine` (H, W); None where it crosses none.
+
+    An end that lies in them is moved on until it does not; one outside stays.
+    """
     if not (mine & drawn([line], grid)).any():
         return None
     start, end = np.array(line[0]), np.array(line[1])

@@ -36,7 +36,10 @@ _FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
-    """(N,) whether the step from a return to the next one leaps to another surface."""
+    """(N,) whether the step from a return to the next one leaps from one surface to another.
+
+    The last return of a scan has no step.
+    """
     following = batch.ranges[batch.segments.following]
     return leaps(batch.onward, batch.ranges, following) & ~batch.segments.last
 
@@ -129,7 +132,10 @@ def ring_histogram(batch: ReturnsBatch) -> FloatArray:
 
 
 def harmonics(batch: ReturnsBatch) -> FloatArray:
-    """Magnitudes of the harmonics of the ranges, cut at 12 m: a turn only shifts the signal."""
+    """Magnitudes of the harmonics of the ranges, cut at 12 m, over the returns' bearings.
+
+    A turn of a full circle shifts the signal, which the magnitudes do not see.
+    """
     segments, bearings = batch.segments, batch.bearings
     # without leaps of more than half a turn within a scan
     change = np.concatenate([np.zeros(min(1, len(bearings))), np.diff(bearings)])

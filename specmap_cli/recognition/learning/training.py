@@ -96,7 +96,11 @@ def held_out_margins(
     config: RecognitionConfig,
     rng: np.random.Generator,
 ) -> HeldOutMargins:
-    """The margins of samples `tested` by what is `learned`; none of fewer than two submaps."""
+    """The margins of the samples `tested` by classifiers that learn from those `learned`.
+
+    A submap that is not learned, since nothing is left of it, claims nothing. There are no margins
+    where fewer than two submaps are left to tell apart.
+    """
     ids = sorted(learned)
     rest = {i: samples.features for i, samples in learned.items() if len(samples.features)}
     asked = {i: samples for i, samples in tested.items() if i in rest and len(samples.features)}

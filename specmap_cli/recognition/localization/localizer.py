@@ -313,7 +313,10 @@ class ClassifiedScan:
 
 
 class ScanClassifier:
-    """Asks a map's classifiers of a log's scans; `note` says how these are made to fit."""
+    """Asks the classifiers of a map of the scans of a log, in turn.
+
+    `note` says how the log's laser is made to fit the classifiers; empty when it is the same.
+    """
 
     def __init__(self, classifiers: ClassifierSet, config: LocalizationConfig) -> None:
         self.classifiers = classifiers
@@ -326,7 +329,11 @@ class ScanClassifier:
         self.note = ""
 
     def classified(self, scans: Sequence[PosedScan]) -> list[ClassifiedScan]:
-        """What is said of the next scans: many at once are cheaper. Raises as `resampling`."""
+        """What is said of the next scans, in turn; many at once are cheaper than one by one.
+
+        Where tracking starts afresh the window does, too. Raises InputError when the laser sees too
+        little.
+        """
         raw = self.classifiers.raw
         if self._seen is None:
             laser = Sensor.of(scans[0].planar)
