@@ -37,8 +37,9 @@ _POINTS_PER_VOXEL = 10  # most points kept in a voxel of planar scans
 _CLOUD_POINTS_PER_VOXEL = 20  # most points kept in a voxel of 3D clouds
 _ITERATIONS = 50  # of the registration, per kernel
 _CONVERGED = 1e-4  # KISS-ICP's own: steps below it, metres and radians, end the iterations
-_CONVERGED_IN_SPACE = 5e-4  # in voxels of twice the size, and thousands of points average more
-_NEARLY_CONVERGED = 1e-3  # enough for a coarse alignment, whose result is aligned again
+# Enough for a coarse alignment, which is aligned again; and in space, where thousands of points in
+# larger voxels average more.
+_NEARLY_CONVERGED = 1e-3
 _GATE_KERNELS = 3.0  # points farther from the map than so many kernels have no match (its tau)
 _KEPT_RANGES = 2.0  # its map reaches this many sensor ranges; the window forgets long before
 
@@ -100,7 +101,7 @@ class KissIcpAligner:
                 code=PACKAGE,
             ) from error
         # one thread: the sums of several would come in another order at every run
-        converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED
+        converged = _NEARLY_CONVERGED if sensor.in_space else _CONVERGED
         self._fine = kiss_icp._Registration(_ITERATIONS, converged, 1)
         self._coarse = kiss_icp._Registration(_ITERATIONS, _NEARLY_CONVERGED, 1)
         reach_m = _KEPT_RANGES * sensor.range_m

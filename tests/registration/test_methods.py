@@ -196,7 +196,7 @@ def test_a_moved_cloud_comes_back_to_its_pose(x: float, y: float, yaw: float, ro
 
 
 def test_a_coarse_alignment_may_stop_early_and_points_far_from_everything_do_not_move() -> None:
-    method = aligner()
+    method = aligner(in_space=False)
     method.insert(room(0), np.eye(4))
     guess = turned(0.2, 0.1, 0.0)
     coarse, fine = (method.align(room(1), guess, 0.2, coarse=flag) for flag in (True, False))
