@@ -221,7 +221,7 @@ class TestBorders:
             assert said == [f"{line} them" for line in told]
 
     def test_the_map_stays_when_the_second_request_does_not_apply(self, built: Built) -> None:
-        """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
+        """Every request that is refused alone is in tests/cli/test_cli_finished.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
         requests = RequestedEdits(changes=({"merge": rooms}, {"forbid": rooms}))
         before = files_in(built.map)
