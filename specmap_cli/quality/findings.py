@@ -46,6 +46,7 @@ UNMEASURED, ODOMETRY, MISPLACED = "unmeasured-way", "odometry-disagrees", "laser
 
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
+_OTHER_UNIT = 2.0  # times the way of the map: no wheels slip so, a unit or a gear is wrong
 # Metres by which a way may be longer or shorter: more than what a right map is off, and a room.
 _OFF_M, _OFF_M_POOR = 0.3, 1.0
 
@@ -173,7 +174,8 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
     # wheels that stand while the map moves tell of a robot that is carried, unless they mostly do
     turned = np.nancumsum(step_lengths(odometry))
-    driven = turned[ends - 1] - turned[starts] > ODOMETRY_SHARE * ODOMETRY_WINDOW_M
+    times = (turned[ends - 1] - turned[starts]) / ODOMETRY_WINDOW_M
+    driven = times > ODOMETRY_SHARE
     usual = float(np.median(apart[driven] if driven.mean() > ODOMETRY_SHARE else apart))
     worst = int(apart.argmax())
     everywhere = usual > ODOMETRY_SHARE
@@ -183,7 +185,10 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
         return
     where = evidence.at_scan(int(starts[worst]))
     place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
-    advice = "is the odometry of this robot and this clock?"
+    advice, scale = "is the odometry of this robot and this clock?", float(np.median(times))
+    if not 1.0 / _OTHER_UNIT < scale < _OTHER_UNIT:
+        times_as_far = f"{float(f'{scale:.2g}'):,g} times as far as the map"
+        advice = f"odometry goes {times_as_far}: is it in metres?"
     yield Finding(
         code=ODOMETRY,
         severity="doubtful" if everywhere else "note",

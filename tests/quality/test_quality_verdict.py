@@ -180,14 +180,15 @@ def test_what_was_guessed_in_a_row_adds_up_and_what_ties_its_ends_takes_it_away(
     assert stretches_of(np.zeros((11, 2)), corridor_of(loop=True)) == ()
 
 
-@pytest.mark.parametrize(("share", "count"), [(0.25, 0), (0.35, 1)])
-def test_odometry_of_another_robot_makes_a_map_doubtful(share: float, count: int) -> None:
+@pytest.mark.parametrize(("times", "by"), [(0.75, 0), (0.65, 35), (1e3, 99_900), (1e-3, 100)])
+def test_odometry_of_another_robot_makes_a_map_doubtful(times: float, by: int) -> None:
     base = evidence()
-    found = judged(travelled(base, odometry=base.trajectory.poses * (1.0 - share, 1.0, 1.0)))
-    assert found.verdict == ("good", "doubtful")[count]
-    message = "odometry and the map disagree by 35% of the way nearly everywhere"
-    assert [one.message for one in found.findings] == [message] * count
-    assert [one.value for one in found.findings] == pytest.approx([0.35] * count)
+    found = judged(travelled(base, odometry=base.trajectory.poses * (times, 1.0, 1.0)))
+    assert found.verdict == ("doubtful" if by else "good")
+    messages = [f"odometry and the map disagree by {by}% of the way nearly everywhere"]
+    assert [one.message for one in found.findings] == messages[: by > 0]
+    assert [one.value for one in found.findings] == pytest.approx([abs(1.0 - times)][: by > 0])
+    assert ["metres" in one.advice for one in found.findings] == [abs(times - 1) > 0.5][: by > 0]
 
 
 def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note() -> None:
