@@ -317,6 +317,8 @@ def _middle_m(record: ScanRecord | CloudRecord) -> float:
         xyz = [record.points[axis].ravel().astype(np.float64) for axis in "xyz"]
         ranges = np.sqrt(sum(np.square(column) for column in xyz))
     else:
-        ranges = record.ranges[record.ranges <= record.range_max].astype(np.float64)
+        ranges = record.ranges.astype(np.float64)
     ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    if isinstance(record, ScanRecord) and (ranges <= record.range_max).any():
+        ranges = ranges[ranges <= record.range_max]  # else the range may be in metres, they not
     return float(np.median(ranges)) if len(ranges) else math.nan

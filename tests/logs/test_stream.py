@@ -125,10 +125,11 @@ def test_scans_recorded_out_of_order_are_sorted_by_their_stamps(
         assert sweep.odom_from_base.x == pytest.approx((sweep.stamp_ns - START) / SECOND)
 
 
+@pytest.mark.parametrize("range_max", [12_000.0, 12.0])
 @pytest.mark.parametrize(("ranges_m", "told"), [(2.0, False), (90.0, False), (3400.0, True)])
-def test_ranges_in_millimetres_are_told_of(ranges_m: float, told: bool) -> None:
+def test_ranges_in_millimetres_are_told_of(ranges_m: float, range_max: float, told: bool) -> None:
     ranges = np.array([np.inf, np.nan, 0.0, *[ranges_m] * 9])
-    data = scan_cdr("laser", START, -1.0, 0.2, ranges, range_max=12_000.0)
+    data = scan_cdr("laser", START, -1.0, 0.2, ranges, range_max=range_max)
     warnings = stream_of([Message("/scan", LASER_SCAN, START, data)]).warnings
     assert [line for line in warnings if "millimetres" in line] == [
         "half of the returns of the first scan on /scan are farther than 3,400 m: are they in "
