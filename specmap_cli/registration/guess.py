@@ -341,7 +341,7 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
         return guess
     apart = expected.motion.inverse() @ expected.carried
     alike = apart.distance < _SMALL_M and abs(apart.theta) < _SMALL_RAD  # aligned to one place
-    if alike or abs(apart.theta) > _SEARCH_RAD:
+    if alike or apart.distance > _WIDE_SEARCH_M or abs(apart.theta) > _SEARCH_RAD:
         return guess
     other = product(before, expected.carried.matrix())
     places = [Pose2.from_matrix(pose) for pose in (guess, other)]
