@@ -154,6 +154,7 @@ class FrontEnd:
         in_space = sweep.cloud is not None
         if in_space and not judgement.lost:
             judgement = judgement.levelled(self.config.level_share)
+        track = self._track
         restarted = track.broken and not judgement.lost
         self._conclude(judgement, view, local, walls=not sees_little)
         return PosedScan(
@@ -189,7 +190,13 @@ class FrontEnd:
         self.counts["walls_left_out"] += local.field.left_out > 0
         judgement = judge(located, guess, self.config)
         if track.founded:
-            return judgement
+            if judgement.lost or judgement.certain or not guess.beyond_search:
+                return judgement
+            self.counts["breaks"] += 1
+            local.clear()
+            left = track.keyframe or track.left
+            self._track = replace(track, keyframe=None, left=left, broken=True, founded=False)
+            return Judgement(fit=replace(judgement.fit, score=1.0))
         laser = judgement.fit.planar @ view.base_from_laser
         empty = looked_through(local.walls, view.planar, laser)
         if not judgement.refutes and empty <= _REFUTING_SHARE:

@@ -282,6 +282,13 @@ class MotionGuess:
         return self.expected.measured and self.reliance.trusted
 
     @property
+    def beyond_search(self) -> bool:
+        """Whether odometry measured so long a motion that its error may exceed every search."""
+        slack = self.reliance.slack(self.expected.motion)
+        beyond = slack.place_m > _WIDE_SEARCH_M or slack.turn_rad > _SEARCH_RAD
+        return self.expected.measured and beyond
+
+    @property
     def misread(self) -> list[FloatArray]:
         """Poses (4, 4) that odometry may have misread, where a search around its own looks not.
 

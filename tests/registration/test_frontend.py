@@ -18,7 +18,7 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LogConfig, RegistrationConfig
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
@@ -103,6 +103,25 @@ def test_an_odometry_reset_is_no_motion_and_wrong_headings_are_survived(world: G
     front_end, scans = run(items)
     assert front_end.counts["odometry_jumps"] == 1
     assert worst(scans, truth)[0] < 0.08
+    assert front_end.counts["lost"] == 0
+
+
+def test_after_a_hole_in_the_log_a_new_map_begins_where_odometry_led() -> None:
+    """Ten metres on in a corridor with niches, where a laser sees 4 m, and odometry has turned."""
+    cells = np.full((60, 400), FREE, dtype=np.uint8)
+    cells[:8] = cells[-8:] = cells[:, :1] = cells[:, -1:] = OCCUPIED
+    for k, x in enumerate(np.cumsum(np.arange(17, 40))[:12].tolist()):
+        cells[slice(3, 8) if k % 2 else slice(-8, -3), x : x + 9] = FREE
+    truth = np.array([(x, 1.5, 0.0) for x in (*np.arange(2.0, 5.0, 0.1), *np.arange(15, 17, 0.1))])
+    items = sweeps(GridMap(cells, 0.05, (0.0, 0.0)), truth, reach=4.0)
+    turn = odometry_of(items[29]) @ Pose2(0.0, 0.0, 0.1) @ odometry_of(items[29]).inverse()
+    items[30:] = [with_odometry(sweep, lambda odom: turn @ odom) for sweep in items[30:]]
+    items[30:] = [dataclasses.replace(one, stamp_ns=one.stamp_ns + 10**11) for one in items[30:]]
+    front_end, scans = run(items)
+    assert [k for k, scan in enumerate(scans) if scan.restarted] == [30]
+    assert scans[30].bridge is not None
+    moved = scans[29].map_from_base.inverse() @ scans[30].map_from_base
+    assert moved.x == pytest.approx(10.1, abs=0.6)
     assert front_end.counts["lost"] == 0
 
 
