@@ -57,6 +57,7 @@ _RANGE_M = 12.0  # of walls that are compared: farther ones show every error of 
 MISPLACED_M, MISPLACED_RAD = 0.3, 0.1
 _PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
 _PIECES = 20  # fewer of them tell nothing
+LEAST_TURNS = 10  # pieces that turn: of fewer the noise may be the other way round
 _SLOW = 0.5  # share of a piece below which it is the noise of a robot that stands
 _ALIKE_RAD = 0.1  # turns of map and odometry, in most pieces that turn: late odometry has others
 _HUBER, _MEDIAN_OFF = 1.345, 1.177  # standard deviations: where doubt begins; of half of all
@@ -293,6 +294,29 @@ def is_still(motion: Pose2) -> bool:
     return motion.distance <= STILL_M and abs(motion.theta) <= STILL_RAD
 
 
+def turned_otherwise(trajectory: Trajectory) -> tuple[int, int]:
+    """How many turns by the map odometry has the other way round, and how many turns there are."""
+    turns, by_odometry = (motions[:, 2] for motions in _pieces(trajectory))
+    turning = np.abs(turns) > _ALIKE_RAD
+    otherwise = np.abs(wrap_angles(turns + by_odometry)) <= _ALIKE_RAD
+    return int((otherwise & turning).sum()), int(turning.sum())
+
+
+def _pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """The motions (n, 3) of pieces of the way by the map, and by odometry; none without it."""
+    if trajectory.odometry is None:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    known = np.isfinite(trajectory.odometry[:, 0])
+    if trajectory.lost is not None:
+        known &= ~trajectory.lost
+    poses, odometry = trajectory.poses[known], trajectory.odometry[known]
+    turned = np.append(0.0, np.abs(wrap_angles(np.diff(poses[:, 2])))).cumsum()[: len(poses)]
+    pieces = travelled(poses) / _PIECE_M + turned / _PIECE_RAD
+    cuts = np.flatnonzero(np.diff(pieces // 1.0))
+    by_map, by_odometry = (compose(invert(p[cuts[:-1]]), p[cuts[1:]]) for p in (poses, odometry))
+    return by_map, by_odometry
+
+
 def base_by_odometry(trajectory: Trajectory) -> Pose2:
     """The base that odometry moves, seen from that of the map.
 
@@ -304,16 +328,7 @@ def base_by_odometry(trajectory: Trajectory) -> Pose2:
     weights. IDENTITY where too little of the way tells of them, or where they are no more than
     `MISPLACED_M` and `MISPLACED_RAD` and two standard deviations off.
     """
-    if trajectory.odometry is None:
-        return IDENTITY
-    known = np.isfinite(trajectory.odometry[:, 0])
-    if trajectory.lost is not None:
-        known &= ~trajectory.lost
-    poses, odometry = trajectory.poses[known], trajectory.odometry[known]
-    turned = np.append(0.0, np.abs(wrap_angles(np.diff(poses[:, 2])))).cumsum()[: len(poses)]
-    pieces = travelled(poses) / _PIECE_M + turned / _PIECE_RAD
-    cuts = np.flatnonzero(np.diff(pieces // 1.0))
-    by_map, by_odometry = (compose(invert(p[cuts[:-1]]), p[cuts[1:]]) for p in (poses, odometry))
+    by_map, by_odometry = _pieces(trajectory)
     alike = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _ALIKE_RAD
     turning = np.abs(by_map[:, 2]) > _ALIKE_RAD
     driven = np.hypot(*by_map[:, :2].T) / _PIECE_M + np.abs(by_map[:, 2]) / _PIECE_RAD > _SLOW

@@ -25,6 +25,7 @@ from specmap_cli.layout.audit import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
+    LEAST_TURNS,
     MISPLACED_M,
     MISPLACED_RAD,
     MOVED_M,
@@ -38,6 +39,7 @@ from specmap_cli.quality.evidence import (
     base_by_odometry,
     graded,
     told,
+    turned_otherwise,
 )
 from specmap_cli.quality.holes import ODOMETRY_SHARE, noted, unwatched
 
@@ -130,6 +132,17 @@ def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
 
 def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
     """A laser that is not where the log says: the way of the map is not that of the base."""
+    otherwise, turns = turned_otherwise(evidence.trajectory)
+    if turns >= LEAST_TURNS and 2 * otherwise > turns:
+        yield Finding(
+            code=MISPLACED,
+            severity="doubtful",
+            message=f"{otherwise} of {turns} turns of the map are the other way round by odometry: "
+            "the laser hangs upside down and the map is a mirror image, or odometry is wrong",
+            advice="give the transform from the base to the laser a roll of 180 degrees",
+            value=otherwise / turns,
+            limit=0.5,
+        )
     base = base_by_odometry(evidence.trajectory)
     if base == IDENTITY:
         return

@@ -3,7 +3,8 @@
 Per sweep: guess the motion from odometry (or from the motion before), register coarse to fine, and
 judge the result by how well the sweep's walls lie on the local map's. A doubtful result calls the
 correlative search, a bad one a wider search; what fits nowhere is lost: it keeps the guess and does
-not enter the map. After a run of lost sweeps the map starts afresh, joined to the old by a guess.
+not enter the map. After a run of lost sweeps the map starts afresh, joined to the old by a guess;
+so it does after a hole in the log over which odometry may have erred farther than is searched.
 Where no wall is in sight, trusted odometry carries the robot on, as far as it can be followed.
 
 Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in space.
@@ -47,7 +48,7 @@ COUNTS: Mapping[str, str] = {
     "lost": "sweeps that kept the guess",
     "searched": "sweeps that called for the correlative search",
     "wide_searched": "sweeps that called for the wide search, too",
-    "breaks": "runs of lost sweeps that ended a map",
+    "breaks": "runs of lost sweeps, and holes, that ended a map",
     "odometry_jumps": "odometry increments too large to be a motion",
     "shortened_motions": "sweeps whose guess or de-skewing was held to what may be carried on",
     "few_points": "sweeps with fewer than min_points walls: lost, or placed by odometry alone",
@@ -192,6 +193,7 @@ class FrontEnd:
         if track.founded:
             if judgement.lost or judgement.certain or not guess.beyond_search:
                 return judgement
+            # what was seen before says too little of this place to hold it
             self.counts["breaks"] += 1
             local.clear()
             left = track.keyframe or track.left

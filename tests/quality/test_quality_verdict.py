@@ -236,7 +236,8 @@ def test_odometry_and_map_tell_where_the_laser_is(away: Pose2, said: tuple[float
 
 def test_late_or_foreign_odometry_and_a_drive_without_turns_put_no_laser_elsewhere() -> None:
     near = wandering(Pose2(0.2, 0, 0.05))
-    for found in (wandering(), wandering(late=5), wandering(turn=-1.0), near):
+    assert "upside down" in wandering(turn=-1.0).findings[0].message
+    for found in (wandering(), wandering(late=5), near):
         assert "laser-misplaced" not in [one.code for one in found.findings]
     base = evidence()
     moved = compose(base.trajectory.poses, np.array((1.0, 0.0, 0.0)))

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LogConfig, RegistrationConfig
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
@@ -106,22 +104,18 @@ def test_an_odometry_reset_is_no_motion_and_wrong_headings_are_survived(world: G
     assert front_end.counts["lost"] == 0
 
 
-def test_after_a_hole_in_the_log_a_new_map_begins_where_odometry_led() -> None:
-    """Ten metres on in a corridor with niches, where a laser sees 4 m, and odometry has turned."""
-    cells = np.full((60, 400), FREE, dtype=np.uint8)
-    cells[:8] = cells[-8:] = cells[:, :1] = cells[:, -1:] = OCCUPIED
-    for k, x in enumerate(np.cumsum(np.arange(17, 40))[:12].tolist()):
-        cells[slice(3, 8) if k % 2 else slice(-8, -3), x : x + 9] = FREE
-    truth = np.array([(x, 1.5, 0.0) for x in (*np.arange(2.0, 5.0, 0.1), *np.arange(15, 17, 0.1))])
-    items = sweeps(GridMap(cells, 0.05, (0.0, 0.0)), truth, reach=4.0)
+def test_after_a_hole_in_the_log_a_new_map_begins_where_odometry_led(world: GridMap) -> None:
+    """Six metres on a laser sees nothing that it saw before, and odometry has turned meanwhile."""
+    truth = np.zeros((40, 3)) + (25.6, 1.4, 0.0) + np.arange(40)[:, None] * (0.05, 0.0, 0.0)
+    truth[30:] += (4.5, 2.6, 0.0)
+    items = sweeps(world, truth, reach=2.0)
     turn = odometry_of(items[29]) @ Pose2(0.0, 0.0, 0.1) @ odometry_of(items[29]).inverse()
-    items[30:] = [with_odometry(sweep, lambda odom: turn @ odom) for sweep in items[30:]]
-    items[30:] = [dataclasses.replace(one, stamp_ns=one.stamp_ns + 10**11) for one in items[30:]]
+    for k in range(30, 40):
+        late = with_odometry(items[k], lambda odom: turn @ odom)
+        items[k] = dataclasses.replace(late, stamp_ns=late.stamp_ns + 10**11)
     front_end, scans = run(items)
-    assert [k for k, scan in enumerate(scans) if scan.restarted] == [30]
-    assert scans[30].bridge is not None
-    moved = scans[29].map_from_base.inverse() @ scans[30].map_from_base
-    assert moved.x == pytest.approx(10.1, abs=0.6)
+    assert [scan.index for scan in scans if scan.bridge] == [30]
+    assert worst(scans, truth)[0] < 0.9
     assert front_end.counts["lost"] == 0
 
 
@@ -209,12 +203,6 @@ def test_what_no_odometry_tells_is_searched(world: GridMap, truth: FloatArray, s
     assert front_end.counts["lost"] == 0
 
 
-@pytest.mark.parametrize(("key", "value"), [("min_points", 0), ("max_tilt_rad", 2.0)])
-def test_settings_that_cannot_work_are_refused(key: str, value: float) -> None:
-    with pytest.raises(UsageError, match=rf"registration\.{key}"):
-        load_config(overrides={"registration": {key: value}})
-
-
 @pytest.mark.parametrize("bias", [-0.05, 0.05])
 @pytest.mark.parametrize("every", [6, 12])  # steps of some 0.5 and 1 m
 def test_a_sparse_log_with_odometry_loses_no_scan(world: GridMap, every: int, bias: float) -> None:
@@ -284,18 +272,12 @@ def test_what_is_said_of_a_limit() -> None:
     assert set(front_end.counts) == set(COUNTS)
     assert front_end.warnings == []
     sentences = [
-        "registration met 1 jump of odometry beyond registration.odometry_jump_m and "
-        "odometry_jump_mps: the motion before was carried on instead",
         "registration carried the motion before on to 2,000 scans only in part: raise "
         "registration.carried_forward_m, carried_sideways_m and carried_rad for a fast robot",
         "registration met 3 scans with fewer than 12 wall points (registration.min_points): "
         "they are placed by odometry that is trusted, or lost",
-        "registration refused 2 alignments that ended farther from the guess, or tilted more, "
-        "than registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
     ]
-    front_end.counts.update(
-        odometry_jumps=1, shortened_motions=2000, few_points=3, refused_alignments=2
-    )
+    front_end.counts.update(shortened_motions=2000, few_points=3)
     assert front_end.warnings == sentences
     front_end.counts.update(dict.fromkeys(COUNTS, 1))
     named = re.findall(r"\w+_\w+", " ".join(front_end.warnings))
