@@ -247,7 +247,7 @@ def _is_told(change: Change, told: Comparison, plan_from_old: Pose2) -> bool:
     found = told.differences
     closed, opened = (_ways(ways, plan_from_old) for ways in (found.closed, found.opened))
     appeared, vanished = (
-        np.array([one.centre for one in things]).reshape(-1, 2)
+        np.array([one.place for one in things]).reshape(-1, 2)
         for things in (found.appeared, found.vanished)
     )
     appeared, vanished = plan_from_old.apply(appeared), plan_from_old.apply(vanished)
@@ -288,7 +288,7 @@ def _besides(told: Comparison, asked: Sequence[Change], plan_from_old: Pose2) ->
     """How much is told that no change explains."""
     found = told.differences
     places = [way.place for way in (*found.closed, *found.opened)]
-    places += [one.centre for one in (*found.appeared, *found.vanished)]
+    places += [one.place for one in (*found.appeared, *found.vanished)]
     boxes = [box for change in asked for box in (change.old, change.new) if box is not None]
     placed = plan_from_old.apply(np.array(places).reshape(-1, 2))
     return sum(not any(_near(box, place[None]) for box in boxes) for place in placed)

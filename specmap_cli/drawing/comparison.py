@@ -60,9 +60,9 @@ def render_comparison(
             sheet.canvas.text(x, y, words, _ID_LETTERS, colour, "centre", bold=True)
     for things, colour in ((found.vanished, OLD), (found.appeared, NEW)):
         for one in things:  # in a box that leaves their walls to be seen
-            away = one.corners - one.centre
+            away = one.corners - one.place
             length = np.maximum(np.hypot(*away.T), _BOX_MARGIN_M)[:, None]
-            corners = one.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length)
+            corners = one.place + away * (1.0 + 1.5 * _BOX_MARGIN_M / length)
             _box(sheet.canvas, sheet.pixels(corners), colour)
     for ways, colour in ((found.closed, WRONG), (found.opened, OPENED)):
         for way in ways:

@@ -9,11 +9,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point, Transform
+from specmap_cli.core.json_values import Amount, Count, Measured, Number, Transform
 from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.topology.differences import Crossing, Obstacle
 from specmap_cli.topology.identity import Identity
-
-Pair = tuple[Count, Count]
 
 
 class MapFigures(Measured):
@@ -49,46 +48,21 @@ class AlignmentRecord(Measured):
     longer_m: Number = 0.0
 
 
-class DoorRecord(Measured):
-    """A way between two submaps of the map in which it is open."""
-
-    between: Pair
-    x: Number
-    y: Number
-    width_m: Amount
-
-
 class DoorsRecord(Measured):
     """Ways that were open and are blocked (`closed`), and the other way round (`opened`).
 
     A closed way is between submaps of the old map, an opened one between submaps of the new map.
     """
 
-    closed: list[DoorRecord]
-    opened: list[DoorRecord]
-
-
-class ThingRecord(Measured):
-    """Something that stands in one map where the other saw free space, in the smallest box.
-
-    The submaps are those that it stands in by the old map and by the new one.
-    """
-
-    x: Number
-    y: Number
-    length_m: Amount
-    width_m: Amount
-    area_m2: Amount
-    corners: list[Point]
-    old_submap: Count | None
-    new_submap: Count | None
+    closed: tuple[Crossing, ...]
+    opened: tuple[Crossing, ...]
 
 
 class ThingsRecord(Measured):
     """Walls and furniture that appeared, and that vanished."""
 
-    appeared: list[ThingRecord]
-    vanished: list[ThingRecord]
+    appeared: tuple[Obstacle, ...]
+    vanished: tuple[Obstacle, ...]
 
 
 class ComparisonRecord(Measured):

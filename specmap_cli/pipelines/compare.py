@@ -10,7 +10,7 @@ import numpy as np
 
 from specmap_cli.core.errors import NOT_ALIGNED, NoResultError, instance_of, path_of
 from specmap_cli.core.geometry import IDENTITY, BentMotion, LocalMotion
-from specmap_cli.core.json_values import point, transform
+from specmap_cli.core.json_values import transform
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
@@ -20,10 +20,8 @@ from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import (
     AlignmentRecord,
     ComparisonRecord,
-    DoorRecord,
     DoorsRecord,
     MapFigures,
-    ThingRecord,
     ThingsRecord,
 )
 from specmap_cli.maps.directory import OutputDirectory
@@ -80,14 +78,8 @@ class Comparison:
                 longer_m=alignment.longer_m,
             ),
             submaps=found.identity,
-            doors=DoorsRecord(
-                closed=[_door(way) for way in found.closed],
-                opened=[_door(way) for way in found.opened],
-            ),
-            things=ThingsRecord(
-                appeared=[_obstacle(one) for one in found.appeared],
-                vanished=[_obstacle(one) for one in found.vanished],
-            ),
+            doors=DoorsRecord(closed=found.closed, opened=found.opened),
+            things=ThingsRecord(appeared=found.appeared, vanished=found.vanished),
         )
 
 
@@ -229,25 +221,6 @@ def lines_of(record: ComparisonRecord, called: tuple[str, str] | None = None) ->
     ]
 
 
-def _door(way: Crossing) -> DoorRecord:
-    x, y = way.place.tolist()
-    return DoorRecord(between=way.between, x=x, y=y, width_m=way.width_m)
-
-
-def _obstacle(one: Obstacle) -> ThingRecord:
-    x, y = one.centre.tolist()
-    return ThingRecord(
-        x=x,
-        y=y,
-        length_m=one.length_m,
-        width_m=one.width_m,
-        area_m2=one.length_m * one.width_m,
-        corners=[point(corner) for corner in one.corners],
-        old_submap=one.old_submap,
-        new_submap=one.new_submap,
-    )
-
-
 def _of_submaps(record: ComparisonRecord) -> list[str]:
     """What became of the submaps: all that are the same in one line, the others by id."""
     submaps, old, new = record.submaps, record.old.names, record.new.names
@@ -269,12 +242,12 @@ def _of_submaps(record: ComparisonRecord) -> list[str]:
     return lines
 
 
-def _where(door: DoorRecord, names: Mapping[int, str]) -> str:
+def _where(door: Crossing, names: Mapping[int, str]) -> str:
     a, b = (_listed([id_], names) for id_ in door.between)
     return f"{door.width_m:.1f} m wide, between {a} and {b}, at ({door.x:.1f}, {door.y:.1f})"
 
 
-def _of_things(what: str, things: Sequence[ThingRecord], names: Mapping[int, str]) -> list[str]:
+def _of_things(what: str, things: Sequence[Obstacle], names: Mapping[int, str]) -> list[str]:
     return [
         f"{what}: {one.length_m:.1f} m x {one.width_m:.1f} m at ({one.x:.1f}, {one.y:.1f})"
         + ("" if one.old_submap is None else f", in {_listed([one.old_submap], names)}")

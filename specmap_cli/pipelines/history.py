@@ -43,12 +43,13 @@ from specmap_cli.history.record import (
     zone_of,
 )
 from specmap_cli.maps import filenames
-from specmap_cli.maps.comparison import ComparisonRecord, ThingRecord
+from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.overlaps import stored_to_align
+from specmap_cli.topology.differences import Obstacle
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import ways_m
 
@@ -346,7 +347,7 @@ def _changes(
     """What differs between two maps of a building, in its frame."""
     doors, things = found.doors, found.things
 
-    def rooms_of(thing: ThingRecord) -> list[int]:
+    def rooms_of(thing: Obstacle) -> list[int]:
         return before.rooms([thing.old_submap]) or after.rooms([thing.new_submap])
 
     def change(

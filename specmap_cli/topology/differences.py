@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import BentMotion, FloatArray
+from specmap_cli.core.json_values import Amount, Corners, Count, Number, Value, titled
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, LengthArray
 from specmap_cli.topology.identity import Identity, identify
@@ -24,32 +25,52 @@ _NEAR_M = 1.0  # from a submap's floor: what stands there stands in it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Obstacle:
-    """An obstacle of one map where the other saw free space, in the frame of the old map.
+class Obstacle(Value):
+    """Something that stands in one map where the other saw free space, in the smallest box.
 
-    `corners` (4, 2) are those of the smallest box round it, `centre` (2,) its middle, `length_m`
-    and `width_m` the sides of the box, the longer first. `old_submap` and `new_submap` are those
-    that it stands in, by either map.
+    The submaps are those that it stands in by the old map and by the new one.
     """
 
-    corners: FloatArray
-    centre: FloatArray
-    length_m: float
-    width_m: float
-    old_submap: int | None = None
-    new_submap: int | None = None
+    __pydantic_config__ = titled("ThingRecord")
+
+    x: Number
+    """of the middle of the box, metres"""
+    y: Number
+    """of the same place, metres"""
+    length_m: Amount
+    """the longer side of the box, metres"""
+    width_m: Amount
+    """the shorter side, metres"""
+    area_m2: Amount
+    corners: Corners  # (4, 2)
+    old_submap: Count | None = None
+    new_submap: Count | None = None
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) its middle."""
+        return np.array([self.x, self.y])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
-    """Where two submaps of a map meet, `between` the smaller id and the larger.
+class Crossing(Value):
+    """A way between two submaps of the map in which it is open."""
 
-    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
-    """
+    __pydantic_config__ = titled("DoorRecord")
 
-    between: tuple[int, int]
-    place: FloatArray
-    width_m: float
+    between: tuple[Count, Count]
+    """ids of the two, the smaller one first"""
+    x: Number
+    """of the widest part of their border, metres"""
+    y: Number
+    """of the same place, metres"""
+    width_m: Amount
+    """the free width there, metres"""
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) where it is."""
+        return np.array([self.x, self.y])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,28 +96,28 @@ def differences(
     new_from_old = old_from_new.inverse()
     before, after = Surveyed(old.grid, tracks[0]), Surveyed(new.grid, tracks[1])
     closed = blocked_ways(old, after, new_from_old)
-    opened = [
-        replace(way, place=old_from_new.apply(way.place[None])[0])
-        for way in blocked_ways(new, before, old_from_new)
-    ]
+    opened = []
+    for way in blocked_ways(new, before, old_from_new):
+        x, y = old_from_new.apply(way.place[None])[0].tolist()
+        opened.append(replace(way, x=x, y=y))
     vanished = obstacles_in(old.grid, after, new_from_old)
     appeared = []
     for obstacle in obstacles_in(new.grid, before, old_from_new):
-        near = old_from_new.near(obstacle.centre)
-        centre, corners = near.apply(obstacle.centre[None])[0], near.apply(obstacle.corners)
-        appeared.append(replace(obstacle, centre=centre, corners=corners))
+        near = old_from_new.near(obstacle.place)
+        x, y = near.apply(obstacle.place[None])[0].tolist()
+        appeared.append(replace(obstacle, x=x, y=y, corners=near.apply(obstacle.corners)))
 
     def placed(obstacles: Iterable[Obstacle], ways: Sequence[Crossing]) -> tuple[Obstacle, ...]:
         """Those that are not the doors of these ways, with the submaps that they stand in."""
         return tuple(
             replace(
                 obstacle,
-                old_submap=_submap_at(old, obstacle.centre),
-                new_submap=_submap_at(new, new_from_old.apply(obstacle.centre[None])[0]),
+                old_submap=_submap_at(old, obstacle.place),
+                new_submap=_submap_at(new, new_from_old.apply(obstacle.place[None])[0]),
             )
             for obstacle in obstacles
             if all(
-                math.dist(obstacle.centre, way.place) > way.width_m / 2 + _DOORWAY_M
+                math.dist(obstacle.place, way.place) > way.width_m / 2 + _DOORWAY_M
                 or obstacle.length_m > way.width_m + 2 * _DOORWAY_M
                 for way in ways
             )
@@ -175,13 +196,15 @@ def obstacles_in(grid: GridMap, survey: Surveyed, other_from_grid: BentMotion) -
         if length_m >= _LEAST_M:
             obstacles.append(
                 Obstacle(
-                    corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
-                    centre=np.array([x, y], dtype=np.float64),
+                    x=float(x),
+                    y=float(y),
                     length_m=length_m,
                     width_m=width_m,
+                    area_m2=length_m * width_m,
+                    corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
                 )
             )
-    return sorted(obstacles, key=lambda one: (-one.length_m, *one.centre.tolist()))
+    return sorted(obstacles, key=lambda one: (-one.length_m, one.x, one.y))
 
 
 def _parts(grid: GridMap, sure: _Cells, some: _Cells) -> list[_Cells]:
@@ -229,9 +252,9 @@ def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion)
         width_m = 2.0 * float(widths.max())
         if width_m < _WAY_M:
             continue
-        place = grid.centres_of(cells)[int(widths.argmax())]
-        way = Crossing(between=border.pair, place=place, width_m=width_m)
-        if survey.saw_well(other_from_map.apply(place[None]))[0]:
+        x, y = grid.centres_of(cells)[int(widths.argmax())].tolist()
+        way = Crossing(between=border.pair, x=x, y=y, width_m=width_m)
+        if survey.saw_well(other_from_map.apply(way.place[None]))[0]:
             around, sides = _around(regions, way, cells)
             placed = other_from_map.apply(grid.centres_of(around))
             if _is_blocked(survey.grid, away_m, placed, around, sides):

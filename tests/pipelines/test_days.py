@@ -183,7 +183,7 @@ def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comp
     assert 0.05 < cabinet.length_m * cabinet.width_m < 0.5
     assert cabinet.old_submap is not None
     assert len(told.record.submaps.same) >= 3
-    for place in (cabinet.centre, found.closed[0].place):
+    for place in (cabinet.place, found.closed[0].place):
         assert (grid.values_at(place[None]) == FREE).all()
     names = {**told.record.old.names, found.closed[0].between[0]: "Kitchen"}
     old = told.record.old.model_copy(update={"names": names})

@@ -71,12 +71,12 @@ def test_what_is_no_change(new: Regions) -> None:
 def test_a_cabinet_appears_and_vanishes_and_a_moved_one_does_both() -> None:
     appeared = told(flat(), drawn(flat(), CABINET)).appeared
     assert len(appeared) == 1
-    assert appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
+    assert appeared[0].place == pytest.approx([2.9, 1.2], abs=0.05)
     assert appeared[0].length_m == pytest.approx(0.8, abs=0.1)
     assert appeared[0].width_m == pytest.approx(0.4, abs=0.1)
     assert (appeared[0].old_submap, appeared[0].new_submap) == (0, 0)
     vanished = told(drawn(flat(), CABINET), flat()).vanished
-    assert vanished[0].centre == pytest.approx(appeared[0].centre)
+    assert vanished[0].place == pytest.approx(appeared[0].place)
     elsewhere = (slice(90, 98), slice(150, 166))
     found = told(drawn(flat(), CABINET), drawn(flat(), elsewhere))
     assert (len(found.appeared), len(found.vanished), changes(found)) == (1, 1, 2)
