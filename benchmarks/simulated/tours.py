@@ -29,7 +29,7 @@ from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.trajectories import associate, reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.text_files import planar_trajectory_text, read_tum
+from specmap_cli.maps.text_files import read_tum, trajectory_text
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour, stamp_of
 from specmap_cli.simulation.worlds import RoomTruth
@@ -162,7 +162,7 @@ def recorded(grid: GridMap, options: SimulationOptions, measured: bool, log: Pat
     write((sweep for sweep, _ in tour.scans()), iter if measured else without_odometry, log)
     stamps = np.array([stamp_of(time) for time in tour.scan_times_s.tolist()])
     truth = Trajectory(stamps, tour.truth.at(tour.scan_times_s))
-    log.with_suffix(".tum").write_text(planar_trajectory_text(truth), encoding="ascii")
+    log.with_suffix(".tum").write_text(trajectory_text(truth), encoding="ascii")
 
 
 def scored(tour: Tour) -> MapScores:

@@ -134,21 +134,6 @@ def trajectory_text(trajectory: Trajectory) -> str:
     return "".join(lines)
 
 
-def planar_trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines of true poses in the plane, their stamps in whole microseconds.
-
-    Metres have nine decimals; z, qx and qy are a bare 0.
-    """
-    half = 0.5 * trajectory.poses[:, 2]
-    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
-    lines = []
-    for stamp, row in zip(trajectory.stamps_ns.tolist(), columns.tolist(), strict=True):
-        x, y, qz, qw = (decimal(value, 9) for value in row)
-        seconds = stamp_text(stamp)[:-3]
-        lines.append(f"{seconds} {x} {y} 0 0 0 {qz} {qw}\n")
-    return "".join(lines)
-
-
 def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Trajectory:
     """The trajectory of a map back: its poses in space, and which of its scans were lost.
 

@@ -19,7 +19,7 @@ from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.maps.text_files import planar_trajectory_text
+from specmap_cli.maps.text_files import trajectory_text
 from specmap_cli.simulation.simulator import (
     START_NS,
     Cloud,
@@ -82,7 +82,7 @@ def simulate(
     progress.start("simulate", len(tour.scan_times_s))
     with LogWriter(out) as writer:
         true_poses = _write_tour(writer, tour, options.rate_hz, progress)
-        write_text(truth, planar_trajectory_text(true_poses))
+        write_text(truth, trajectory_text(true_poses))
     return SimulationResult(
         log=out,
         truth=truth,

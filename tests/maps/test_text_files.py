@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
-from specmap_cli.core.text import stamp_ns
 from specmap_cli.maps.text_files import (
     labels_text,
-    planar_trajectory_text,
     read_labels,
     read_trajectory,
     read_tum,
@@ -30,7 +27,6 @@ def test_no_poses_are_a_header_or_nothing_and_no_submap_is_an_empty_cell() -> No
     empty = labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
     assert empty == "stamp,x,y,theta,submap\n"
     assert trajectory_text(Trajectory(stamps, nowhere)) == ""
-    assert planar_trajectory_text(Trajectory(stamps, nowhere)) == ""
     submaps = np.array([NO_SUBMAP, 4])
     labels = Labels(stamps_ns=np.arange(2), poses=np.zeros((2, 3)), submaps=submaps)
     _, first, second = labels_text(labels).splitlines()
@@ -101,24 +97,6 @@ def test_files_that_are_not_read(tmp_path: Path, name: str, data: bytes | None, 
         (tmp_path / name).write_bytes(data)
     with pytest.raises(MapError, match=rf"{name}: {told}"):
         (read_labels if name == "labels.csv" else read_trajectory)(tmp_path / name)
-
-
-@few(30)
-@given(st.lists(st.tuples(st.integers(0, 2**40), FINITE, FINITE, st.floats(-3.2, 3.2)), max_size=9))
-def test_true_poses_have_nine_decimals(rows: list[tuple[int, float, float, float]]) -> None:
-    stamps = np.array([1000 * row[0] for row in rows], dtype=np.int64)
-    poses = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 3)
-    lines = planar_trajectory_text(Trajectory(stamps, poses)).splitlines()
-    assert len(lines) == len(rows)
-    for line, stamp, (x, y, theta) in zip(lines, stamps.tolist(), poses.tolist(), strict=True):
-        words = line.split(" ")
-        assert words[3:6] == ["0", "0", "0"]
-        assert [len(word.partition(".")[2]) for word in words] == [6, 9, 9, 0, 0, 0, 9, 9]
-        assert stamp_ns(words[0]) == stamp
-        assert [float(words[1]), float(words[2])] == pytest.approx([x, y], abs=1e-9)
-        turn = Rotation.from_quat([float(word) for word in words[4:]])
-        assert (turn.inv() * Rotation.from_euler("z", theta)).magnitude() < 1e-8
-        assert "-0.000000000" not in words
 
 
 def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:

@@ -82,7 +82,7 @@ def test_the_truth_has_a_line_a_scan_at_its_stamp(
         seconds, nanoseconds = line.split()[0].split(".")
         assert int(seconds) * 10**9 + int(nanoseconds.ljust(9, "0")) == sweep.stamp_ns
         _, x, y, z, qx, qy, qz, qw = map(float, line.split())
-        assert [x, y] == pytest.approx([pose.x, pose.y])
+        assert [x, y] == pytest.approx([pose.x, pose.y], abs=1e-6)
         assert [z, qx, qy] == [0.0, 0.0, 0.0]
         assert np.cos(2 * np.arctan2(qz, qw) - pose.theta) == pytest.approx(1.0)
 
