@@ -111,6 +111,7 @@ def compare(
     specmap compare monday friday
     specmap compare monday friday -o changes --json
     """
+    from specmap_cli.maps.directory import result_directory
     from specmap_cli.pipelines import compare as comparing
     from specmap_cli.pipelines.history import span_ns
 
@@ -120,7 +121,7 @@ def compare(
     effective = settings.of_map(one)
     with common.progress() as progress, ExitStack() as outputs:
         partial = out and outputs.enter_context(
-            comparing.comparison_directory(out, overwrite, progress)
+            result_directory(out, comparing.FILES, overwrite, progress)
         )
         found = comparing.compare_maps(one, other, effective, progress)
         if partial is not None:
@@ -202,18 +203,21 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.pipelines.history import PAGE, history_directory, history_of, write_history
+    from specmap_cli.history.record import lines_of
+    from specmap_cli.maps.directory import result_directory
+    from specmap_cli.pipelines.history import FILES, PAGE, history_of, write_history
 
     if out is not None:
         keep_inputs([out], maps)
     limits = settings.load().limits
     with common.progress() as progress, ExitStack() as outputs:
-        partial = out and outputs.enter_context(history_directory(out, overwrite, progress))
+        partial = out and outputs.enter_context(result_directory(out, FILES, overwrite, progress))
         report = history_of(maps, timezone, limits, progress)
         if out is not None and partial is not None:
             write_history(report, partial, out, limits)
-    common.show(report.as_dict(), [*report.lines(), *([f"look at {out / PAGE}"] if out else [])])
-    if not report.whole:
+    record, look = report.record, [f"look at {out / PAGE}"] if out else []
+    common.show(record.model_dump(), [*lines_of(record), *look])
+    if record.left_out:
         raise typer.Exit(MapError.exit_code)
 
 

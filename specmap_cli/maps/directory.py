@@ -251,6 +251,17 @@ class OutputDirectory:
             ) from None
 
 
+def result_directory(
+    out: str | Path, names: Sequence[str], overwrite: bool = False, progress: Progress | None = None
+) -> OutputDirectory:
+    """The directory `out` for files of those `names`, of which the first is always written.
+
+    Entered before the work, it refuses what is in the way. Raises UsageError on entering.
+    """
+    ours = frozenset(names).__contains__
+    return OutputDirectory(out, overwrite, progress, marker=names[0], ours=ours)
+
+
 def _contents(directory: Path) -> dict[str, tuple[int, ...]]:
     """What a directory holds, by the path inside, and what changes when somebody writes it."""
     found: dict[str, tuple[int, ...]] = {}

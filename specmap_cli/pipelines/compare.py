@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import NOT_ALIGNED, NoResultError, instance_of, path_of
+from specmap_cli.core.errors import NOT_ALIGNED, NoResultError, instance_of
 from specmap_cli.core.geometry import IDENTITY, BentMotion, LocalMotion
 from specmap_cli.core.json_values import transform
 from specmap_cli.core.process import one_blas_thread
@@ -24,7 +24,6 @@ from specmap_cli.maps.comparison import (
     MapFigures,
     ThingsRecord,
 )
-from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.map_in_making import quality_of_stored
 from specmap_cli.pipelines.overlaps import (
@@ -39,7 +38,7 @@ from specmap_cli.recognition.closure.alignment import Alignment, align, told_len
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name
 
-COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
+FILES = COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
 # Of a submap whose own place in the other map is believed: how well it fits, metres of wall, and
 # their share; a room of which the other map saw but a wall slides along it.
 _LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
@@ -131,19 +130,8 @@ def compare_maps(
     )
 
 
-def comparison_directory(
-    out: Path | str, overwrite: bool = False, progress: Progress | None = None
-) -> OutputDirectory:
-    """The directory `out` for a comparison: entered before the work, it refuses what is in the way.
-
-    What it gives is for `write_comparison`. Raises UsageError on entering.
-    """
-    ours = frozenset({SUMMARY, COMPARISON, PICTURE}).__contains__
-    return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=COMPARISON, ours=ours)
-
-
 def write_comparison(comparison: Comparison, directory: Path) -> None:
-    """Write summary, compare.json and the picture into a `comparison_directory`."""
+    """Write summary, compare.json and the picture into a `result_directory` of `FILES`."""
     picture = render_comparison(
         comparison.old.regions,
         comparison.new.regions,

@@ -12,13 +12,11 @@ import shutil
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import networkx as nx
 import numpy as np
 
 from specmap_cli.core.errors import MapError, UsageError, is_of_the_place, path_of
-from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
@@ -54,7 +52,6 @@ from specmap_cli.topology.topological_map import TopologicalMap, default_name
 _OF_THE_LAYOUT = frozenset({filenames.KEYFRAMES, filenames.TRAJECTORY, filenames.POSE_GRAPH})
 _REWRITTEN = (filenames.TOPOLOGY, filenames.OVERVIEW, filenames.EDITS)
 
-AnyRecord = TypeVar("AnyRecord", bound=Record)
 Edited = tuple[TopologicalMap, tuple[str, ...]]  # as it was written, and what does not apply to it
 
 
@@ -225,27 +222,20 @@ def _record_with(
     for node in record.nodes:
         submap = topology.submaps[node.id]
         shape = np.array(node.polygon, dtype=np.float64).reshape(-1, 2)
-        nodes.append(
-            _with(
-                node,
-                name=submap.name or default_name(node.id),
-                kind=submap.kind or kind_of(shape),
-                properties=dict(submap.properties),
-            )
-        )
-    graph = _with(
-        record.graph,
-        edits=EditsRecord(submaps=topology.said, borders=topology.borders),
-        next_id=topology.next_id,
-        doors=topology.doors,
-        seen=regions.seen,
-    )
-    return _with(record, graph=graph, nodes=tuple(nodes), edges=placed(topology, nodes))
-
-
-def _with(record: AnyRecord, **values: Any) -> AnyRecord:
-    """A record with some other values, checked as any."""
-    return type(record)(**{**dict(record), **values})
+        said = {
+            "name": submap.name or default_name(node.id),
+            "kind": submap.kind or kind_of(shape),
+            "properties": dict(submap.properties),
+        }
+        nodes.append(node.model_copy(update=said))
+    shown = {
+        "edits": EditsRecord(submaps=topology.said, borders=topology.borders),
+        "next_id": topology.next_id,
+        "doors": topology.doors,
+        "seen": regions.seen,
+    }
+    graph, edges = record.graph.model_copy(update=shown), placed(topology, nodes)
+    return record.model_copy(update={"graph": graph, "nodes": tuple(nodes), "edges": edges})
 
 
 def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:

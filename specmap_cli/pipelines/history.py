@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import tzinfo
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from specmap_cli.history.record import (
     Tour,
     day_of,
     days_of,
-    lines_of,
     of_a_job,
     render_history,
     room_name,
@@ -44,7 +43,6 @@ from specmap_cli.history.record import (
 )
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
@@ -54,29 +52,16 @@ from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import ways_m
 
 HISTORY, PAGE = "history.json", "history.html"
+FILES = (HISTORY, PAGE, *TABLES)
 _NS = 1_000_000_000
 _MOST = 0.5  # of the keyframes of a submap
 
 
-@dataclass(frozen=True, slots=True)
-class HistoryReport:
+class HistoryReport(NamedTuple):
     """What the maps tell; `plans` are the first maps of the buildings."""
 
     record: HistoryRecord
     plans: tuple[Path, ...]
-
-    @property
-    def whole(self) -> bool:
-        """Whether every map could be read."""
-        return not self.record.left_out
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine, as `history.record` has it."""
-        return self.record.model_dump()
-
-    def lines(self) -> list[str]:
-        """The same for a person."""
-        return lines_of(self.record)
 
 
 @one_blas_thread()
@@ -115,23 +100,12 @@ def history_of(
     return HistoryReport(record, tuple(one.path for one in buildings))
 
 
-def history_directory(
-    out: Path | str, overwrite: bool = False, progress: Progress | None = None
-) -> OutputDirectory:
-    """The directory `out` for a history: entered before the work, it refuses what is in the way.
-
-    What it gives is for `write_history`. Raises UsageError on entering.
-    """
-    ours = frozenset({HISTORY, PAGE, *TABLES}).__contains__
-    return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=HISTORY, ours=ours)
-
-
 def write_history(
     report: HistoryReport, directory: Path, out: Path, limits: LimitsConfig | None = None
 ) -> None:
-    """Write history.json, its tables and its page into the `history_directory` of `out`."""
+    """Write history.json, its tables and its page into the `result_directory` of `out`."""
     plans = [read_map(path, limits) for path in report.plans]
-    (directory / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
+    (directory / HISTORY).write_text(to_json(report.record.model_dump()), encoding="utf-8")
     for name, text in tables_of(report.record).items():
         (directory / name).write_text(text, encoding="utf-8")
     page = render_history(report.record, plans, out)

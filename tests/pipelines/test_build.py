@@ -350,7 +350,6 @@ def test_tilt_is_kept_from_the_first_3d_pose(rolls: dict[int, tuple[float, float
         posed = keyframe(scan, Pose2(k, 2.0 * k, 0.1 * k), IDENTITY, k)
         recorder.append(replace(posed, map_from_base_3d=matrix))
     found = recorder.trajectory()
-    assert len(recorder) == 5
     assert found.stamps_ns.tolist() == [0, 1, 2, 3, 4]
     assert found.poses[3].tolist() == pytest.approx([3.0, 6.0, 0.3])
     if not rolls:

@@ -18,6 +18,7 @@ from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history import record
 from specmap_cli.history.record import BuildingRecord
+from specmap_cli.maps.directory import result_directory
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
@@ -239,7 +240,7 @@ def test_the_command_writes_all_of_a_comparison_the_same_bytes_every_time(
     assert written.keys() == {COMPARISON, PICTURE, SUMMARY}
 
     def write(out: Path, *, overwrite: bool) -> None:
-        with compare.comparison_directory(out, overwrite) as directory:
+        with result_directory(out, compare.FILES, overwrite) as directory:
             compare.write_comparison(told, directory)
 
     with pytest.raises(UsageError, match="already holds a result"):
