@@ -203,7 +203,6 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.history.record import lines_of
     from specmap_cli.maps.directory import result_directory
     from specmap_cli.pipelines.history import FILES, PAGE, history_of, write_history
 
@@ -216,7 +215,7 @@ def history(
         if out is not None and partial is not None:
             write_history(report, partial, out, limits)
     record, look = report.record, [f"look at {out / PAGE}"] if out else []
-    common.show(record.model_dump(), [*lines_of(record), *look])
+    common.show(record.model_dump(), [*report.lines(), *look])
     if record.left_out:
         raise typer.Exit(MapError.exit_code)
 

@@ -33,6 +33,7 @@ from specmap_cli.history.record import (
     Tour,
     day_of,
     days_of,
+    lines_of,
     of_a_job,
     render_history,
     room_name,
@@ -62,6 +63,10 @@ class HistoryReport(NamedTuple):
 
     record: HistoryRecord
     plans: tuple[Path, ...]
+
+    def lines(self) -> list[str]:
+        """The same for a person."""
+        return lines_of(self.record)
 
 
 @one_blas_thread()
