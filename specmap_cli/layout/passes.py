@@ -13,7 +13,7 @@ must agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import IntArray
+from specmap_cli.core.shortcuts import Shortcuts
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
 from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
@@ -31,7 +32,6 @@ from specmap_cli.layout.path_graph import (
     Draft,
     Graph,
     RowPair,
-    Ties,
     graph_of,
     rows_every,
     solved,
@@ -86,7 +86,7 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
     no reason to solve it.
     """
     draft, due_m, news = search.draft, search.due_m, search.news
-    ties = Ties(graph, draft.loops)
+    ties = tied(graph, draft.loops)
     matched = dict(draft.matched)
     linked = {
         (graph.row[loop.source], graph.row[loop.target])
@@ -111,7 +111,7 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
             spacing_m = math.sqrt(passes.older) * LOOP_EVERY_M
             due_m = way_m + max(LOOP_EVERY_M, min(spacing_m, safe_m))
         if links:
-            ties.add(links)
+            tied(graph, links, ties)
             draft = draft.adding(links)
             edges = LinkArrays.of(links, graph.row, {})
             missed = errors(draft.poses, edges.i, edges.j, edges.z)
@@ -187,7 +187,7 @@ def passes_at(
     walls: Walls,
     matched: Mapping[RowPair, Pose2],
     linked: Collection[RowPair],
-    ties: Ties,
+    ties: Shortcuts,
 ) -> Passes:
     """Row `node` matched with older ones at the poses (M, 3), as far as the path has drifted.
 
@@ -204,13 +204,26 @@ def passes_at(
         guesses[pair] = guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
         before = matched.get(pair)
         if before is None or (before.inverse() @ guess).distance > _MOVED_M:
-            drift_m = LOOP_SEARCH_M + DRIFT_SHARE * ties.way_m(node, old, most_m)
+            way_m = ties.between(float(graph.path[node]), float(graph.path[old]), most_m)
+            drift_m = LOOP_SEARCH_M + DRIFT_SHARE * way_m
             found = match_passes(graph, walls, poses, pair, guess, drift_m, _NEWER_NODES)
             links += [] if found is None else [found]
         is_tied = bool(links) or pair in linked
         if is_tied:
             break
     return Passes(links=tuple(links), guesses=guesses, is_tied=is_tied, older=len(near))
+
+
+def tied(graph: Graph, links: Iterable[Link], ties: Shortcuts | None = None) -> Shortcuts:
+    """What ties the path of a graph to itself, `ties` and some more links: ways of no length.
+
+    So is a link to an older pass for all rows near by, but not for a third pass, which that older
+    one met long ago.
+    """
+    ties = Shortcuts() if ties is None else ties
+    for link in links:
+        ties.add(*(float(graph.path[graph.row[end]]) for end in (link.source, link.target)))
+    return ties
 
 
 def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:

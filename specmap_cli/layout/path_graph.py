@@ -8,11 +8,8 @@ ICRA 2007); and what without odometry the motion before had to tell: in a bare c
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
-from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from heapq import heappop, heappush
 
 import numpy as np
 
@@ -125,47 +122,6 @@ class Graph:
     def part_numbers(self) -> range:
         """The numbers of all parts."""
         return range(int(self.parts[-1]) + 1)
-
-
-class Ties:
-    """What ties the path of a graph to itself: how far it may drift from one row to another.
-
-    Links are ways of no length. So is a link to an older pass for all rows near by, but not for a
-    third pass, which that older one met long ago.
-    """
-
-    def __init__(self, graph: Graph, links: Sequence[Link]) -> None:
-        self._graph, self._rows = graph, list[int]()  # the tied ones, ascending
-        self._tied = defaultdict[int, list[int]](list)
-        self.add(links)
-
-    def add(self, links: Sequence[Link]) -> None:
-        """Tie the ends of some more links."""
-        for link in links:
-            ends = self._graph.row[link.source], self._graph.row[link.target]
-            for row, other in (ends, ends[::-1]):
-                if row not in self._tied:
-                    insort(self._rows, row)
-                self._tied[row].append(other)
-
-    def way_m(self, start: int, end: int, most_m: float) -> float:
-        """The least way between two rows, along the path and over links, up to `most_m`."""
-        path, rows = self._graph.path, self._rows
-        heap, seen = [(0.0, start)], set[int]()
-        while heap:  # Dijkstra's algorithm over the tied rows
-            way_m, row = heappop(heap)
-            if way_m >= most_m:
-                break
-            if row in seen:
-                continue
-            seen.add(row)
-            most_m = min(most_m, way_m + abs(float(path[row] - path[end])))
-            at = bisect_left(rows, row)
-            for other in (*rows[max(at - 1, 0) : at], *rows[at : at + 2]):
-                heappush(heap, (way_m + abs(float(path[row] - path[other])), other))
-            for other in self._tied.get(row, ()):
-                heappush(heap, (way_m, other))
-        return most_m
 
 
 def graph_of(

@@ -15,8 +15,15 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import judge
-from specmap_cli.layout.passes import PassesOnTheWay, candidates, far_passes, find_passes, passes_at
-from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, Ties, graph_of, solved
+from specmap_cli.layout.passes import (
+    PassesOnTheWay,
+    candidates,
+    far_passes,
+    find_passes,
+    passes_at,
+    tied,
+)
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, graph_of, solved
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
@@ -65,17 +72,17 @@ def test_candidates_are_near_far_along_the_path_and_apart(
 
 
 def test_a_pass_is_linked_and_noted_and_none_per_node_is_none(graph: Graph, walls: Walls) -> None:
-    first = passes_at(190, graph, graph.poses, walls, {}, set(), Ties(graph, ()))
+    first = passes_at(190, graph, graph.poses, walls, {}, set(), tied(graph, ()))
     assert first.is_tied
     (found,) = first.links
     truth = between(graph.tracked, found.source, found.target)
     assert (truth.inverse() @ found.source_from_target).distance < 0.1
     assert found.target == graph.nodes[190]
     linked = {ends_of(graph, one) for one in first.links}
-    again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, Ties(graph, ()))
+    again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, tied(graph, ()))
     assert (again.links, again.is_tied, again.guesses) == ((), True, first.guesses)
     with turned("layout.passes", LOOPS_PER_NODE=0):
-        none = passes_at(190, graph, graph.poses, walls, {}, set(), Ties(graph, ()))
+        none = passes_at(190, graph, graph.poses, walls, {}, set(), tied(graph, ()))
         assert (none.links, none.guesses, none.is_tied) == ((), {}, False)
         assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
@@ -83,11 +90,11 @@ def test_a_pass_is_linked_and_noted_and_none_per_node_is_none(graph: Graph, wall
 def test_a_pass_is_searched_as_far_as_the_way_to_it_may_drift(graph: Graph, walls: Walls) -> None:
     poses = np.array(graph.poses)
     poses[150:, 0] += 0.8
-    (found,) = passes_at(190, graph, poses, walls, {}, set(), Ties(graph, ())).links
+    (found,) = passes_at(190, graph, poses, walls, {}, set(), tied(graph, ())).links
     truth = between(graph.tracked, found.source, found.target)
     assert (truth.inverse() @ found.source_from_target).distance < 0.1
     near = link(found.source, int(graph.nodes[188]), (0, 0, 0))  # its other tie, a step before
-    assert not passes_at(190, graph, poses, walls, {}, set(), Ties(graph, [near])).is_tied
+    assert not passes_at(190, graph, poses, walls, {}, set(), tied(graph, [near])).is_tied
 
 
 def test_the_second_pass_is_asked_when_the_first_does_not_fit(graph: Graph, walls: Walls) -> None:
@@ -95,18 +102,18 @@ def test_the_second_pass_is_asked_when_the_first_does_not_fit(graph: Graph, wall
     best, second = candidates(190, graph.poses, graph.path)[:2]
     guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
     tried = {(best, 190): guess}  # to no avail
-    found = passes_at(190, graph, graph.poses, walls, tried, set(), Ties(graph, ()))
+    found = passes_at(190, graph, graph.poses, walls, tried, set(), tied(graph, ()))
     assert {ends_of(graph, one) for one in found.links} == {(second, 190)}
     with turned("layout.passes", LOOPS_PER_NODE=1):
-        assert not passes_at(190, graph, graph.poses, walls, tried, set(), Ties(graph, ())).is_tied
+        assert not passes_at(190, graph, graph.poses, walls, tried, set(), tied(graph, ())).is_tied
 
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
 def test_a_moved_pair_is_matched_anew(graph: Graph, walls: Walls, shift: float, count: int) -> None:
     with turned("layout.passes", LOOPS_PER_NODE=1):
-        first = passes_at(190, graph, graph.poses, walls, {}, set(), Ties(graph, ()))
+        first = passes_at(190, graph, graph.poses, walls, {}, set(), tied(graph, ()))
         moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
-        found = passes_at(190, graph, graph.poses, walls, moved, set(), Ties(graph, ()))
+        found = passes_at(190, graph, graph.poses, walls, moved, set(), tied(graph, ()))
     assert len(found.links) == count
 
 

@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import replace
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,15 +20,13 @@ from specmap_cli.layout.path_graph import (
     GUESS_INFORMATION,
     LOOP_PATH_M,
     NODE_M,
-    Graph,
-    Ties,
     chosen_nodes,
     graph_of,
     rows_every,
     step_information,
 )
 from tests.casting import store_of
-from tests.layout.driving import between, chained, link
+from tests.layout.driving import between, chained
 from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
 from tests.turning import turned
@@ -195,30 +192,3 @@ def test_the_noise_of_a_motion_is_set() -> None:
     with turned("layout.path_graph", **noise):
         spread = spread_of(Pose2(2.0, 0.0, 0.5), NOTHING)
     assert np.sqrt(np.diag(spread)) == pytest.approx([0.61, 0.61, 0.103], rel=1e-4)
-
-
-@given(
-    st.lists(st.floats(0.0, 3.0), min_size=1, max_size=12),
-    st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=6),
-    st.integers(0, 12),
-    st.integers(0, 12),
-    st.floats(0.0, 20.0),
-)
-def test_the_way_between_two_rows_is_the_shortest_over_path_and_links(
-    steps: list[float], pairs: list[tuple[int, int]], start: int, end: int, most_m: float
-) -> None:
-    last = len(steps)
-    pairs = [(min(one, last), min(other, last)) for one, other in pairs]
-    start, end = min(start, last), min(end, last)
-    numbers = 7 * np.arange(last + 1)  # of keyframes
-    poses = np.zeros((int(numbers[-1]) + 1, 3))
-    poses[numbers, 0] = np.cumsum([0.0, *steps])
-    motions = [link(7 * k, 7 * k + 7, (step, 0, 0), "odometry") for k, step in enumerate(steps)]
-    graph = Graph.of(poses, numbers, tuple(motions))
-    ties = Ties(graph, [link(7 * one, 7 * other, (0, 0, 0)) for one, other in pairs[:3]])
-    ties.add([link(7 * one, 7 * other, (0, 0, 0)) for one, other in pairs[3:]])
-    ways = nx.Graph()
-    ways.add_weighted_edges_from((k, k + 1, step) for k, step in enumerate(steps))
-    ways.add_weighted_edges_from((one, other, 0.0) for one, other in pairs)
-    shortest = nx.shortest_path_length(ways, start, end, weight="weight")
-    assert ties.way_m(start, end, most_m) == pytest.approx(min(shortest, most_m))

@@ -14,18 +14,16 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.core.shortcuts import Shortcuts
 from specmap_cli.grids.gridmap import GridMap, PackedGrid
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP, ClaimRanker, Claims
 from specmap_cli.recognition.closure.verification import (
@@ -139,42 +137,20 @@ def plausible(
     )
 
 
-class DriftGraph:
-    """The ways between stays, cut short by the matches that confirmed them."""
+def confirm(
+    way: Shortcuts, old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig
+) -> None:
+    """Tie the way where the grids of two stays match, at `old_from_new`.
 
-    def __init__(self, config: RecognitionConfig) -> None:
-        self.config = config
-        # two places along the way each, and the metres that part them
-        self._ties: list[tuple[float, float, float]] = []
-
-    def confirm(self, old: Stay, new: Stay, mended_m: float) -> None:
-        """The grids of two stays match `mended_m` from where tracking has them.
-
-        As far as that is no twin whatever the way, they are as near as the way on which drift makes
-        as much. A match that cuts no way short is not kept: a robot that patrols makes many.
-        """
-        ends = old.travelled_m, new.travelled_m
-        known = old.tracked_from(new) is not None and all(map(math.isfinite, ends))
-        if known and mended_m <= _TWIN_MARGIN_M:
-            drift = self.config.max_drift
-            metres = mended_m / drift if drift > 0.0 else 0.0
-            if metres < self.between(old, new):
-                self._ties.append((*ends, metres))
-
-    def between(self, old: Stay, new: Stay) -> float:
-        """Metres of the shortest way between two stays; not finite across a loss of tracking."""
-        start, end = old.travelled_m, new.travelled_m
-        if not self._ties or not (math.isfinite(start) and math.isfinite(end)):
-            return abs(end - start)
-        places = sorted({start, end, *(place for tie in self._ties for place in tie[:2])})
-        number = {place: k for k, place in enumerate(places)}
-        metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
-        for a, b, tied_m in self._ties:
-            i, j = sorted((number[a], number[b]))
-            metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
-        ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
-        graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
-        return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])
+    Where that is no twin, however far it is, the two are as near as the way on which drift makes as
+    much as the match mends. A match that cuts no way short is left out: a patrol makes many.
+    """
+    ends, mended = (old.travelled_m, new.travelled_m), mended_m(old, new, old_from_new)
+    known = old.tracked_from(new) is not None and all(map(math.isfinite, ends))
+    if known and mended <= _TWIN_MARGIN_M:
+        metres = mended / config.max_drift if config.max_drift > 0.0 else 0.0
+        if metres < way.between(*ends):
+            way.add(*ends, metres)
 
 
 class LoopCloser:
@@ -192,7 +168,7 @@ class LoopCloser:
         self._claims: dict[int, dict[int, Claims]] = {}  # of each stay when it was new
         self._compared: set[tuple[int, int]] = set()
         self._grids: OrderedDict[int, PreparedGrid | None] = OrderedDict()
-        self._way = DriftGraph(config)
+        self._way = Shortcuts()  # along it tracking drifts
 
     def consider(self, new: Stay) -> list[Closure]:
         """Compare a new stay with every old submap, and remember it as a submap of its own.
@@ -326,13 +302,13 @@ class LoopCloser:
         if grids[0] is None or grids[1] is None:
             no_walls = Decision(False, False, "a grid shows too few walls to match")
             return _closure(new.number, old.number, claims, no_walls)
-        way_m = self._way.between(old, new)
+        way_m = self._way.between(old.travelled_m, new.travelled_m)
         check = verify(
             grids[0], grids[1], lambda pose: plausible(old, new, pose, way_m, self.config)
         )
         found = decide(old, new, check, way_m, self.config)
         if check is not None and found.verified:
-            self._way.confirm(old, new, mended_m(old, new, check.old_from_new))
+            confirm(self._way, old, new, check.old_from_new, self.config)
         return _closure(new.number, old.number, claims, found, check)
 
     def _prepared(self, stay: Stay) -> PreparedGrid | None:

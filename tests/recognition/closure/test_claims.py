@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.core.shortcuts import Shortcuts
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure import claims
 from specmap_cli.recognition.closure.claims import ClaimRanker
-from specmap_cli.recognition.closure.loop_closer import Decision, DriftGraph, Stay, decide
+from specmap_cli.recognition.closure.loop_closer import Decision, Stay, confirm, decide
 from specmap_cli.recognition.closure.verification import Check
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost
@@ -181,7 +180,7 @@ def stay(number: int = 0, **known: Any) -> Stay:
 
 def told(old: Stay, new: Stay, check: Check | None) -> Decision:
     """The verdict where nothing confirmed the way between two stays."""
-    return decide(old, new, check, DriftGraph(CONFIG).between(old, new), CONFIG)
+    return decide(old, new, check, abs(new.travelled_m - old.travelled_m), CONFIG)
 
 
 @pytest.mark.parametrize(
@@ -242,37 +241,18 @@ def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
 
 
 @pytest.mark.parametrize(
-    ("confirmed", "start", "end", "metres"),
+    ("where", "end", "mended_m", "metres"),
     [
-        ([], 20.0, 152.0, 132.0),  # the way that was driven
-        ([(25.0, 110.0, 0.0)], 20.0, 152.0, 5.0 + 42.0),  # a match cuts it short
-        ([(25.0, 110.0, 0.0)], 60.0, 70.0, 10.0),
-        ([(0.0, 80.0, 0.3)], 0.0, 80.0, 0.3 / CONFIG.max_drift),  # what it mends counts as way
-        ([(0.0, 80.0, 0.6)], 0.0, 80.0, 80.0),  # it mends too much to be believed
-        ([(0.0, math.inf, 0.0)], 0.0, 80.0, 80.0),  # it came after a loss of tracking
-        ([(10.0, 50.0, 0.0), (52.0, 90.0, 0.0)], 9.0, 91.0, 1.0 + 2.0 + 1.0),
-        ([(10.0, 50.0, 0.0)], 10.0, math.inf, math.inf),  # across a loss no way is known
+        (IDENTITY, 80.0, 0.0, 0.0),
+        (IDENTITY, 80.0, 0.3, 0.3 / CONFIG.max_drift),  # what it mends counts as way
+        (IDENTITY, 80.0, 0.6, 80.0),  # it mends too much to be believed
+        (IDENTITY, math.inf, 0.0, math.inf),  # it came after a loss of tracking
+        (None, 80.0, 0.0, 80.0),
     ],
 )
-def test_a_way_is_as_short_as_the_matches_on_it_make_it(
-    confirmed: list[tuple[float, float, float]], start: float, end: float, metres: float
+def test_a_match_cuts_the_way_as_short_as_drift_makes_what_it_mends(
+    where: Pose2 | None, end: float, mended_m: float, metres: float
 ) -> None:
-    way = DriftGraph(CONFIG)
-    for old, new, mended_m in confirmed:
-        way.confirm(along(old), along(new), mended_m)
-    assert way.between(along(start), along(end)) == pytest.approx(metres)
-    assert way.between(along(end), along(start)) == pytest.approx(metres)
-
-
-places = st.floats(0.0, 500.0)
-
-
-@given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
-def test_no_way_is_longer(ties: list[tuple[float, float, float]], start: float, end: float) -> None:
-    way = DriftGraph(CONFIG)
-    last = abs(end - start)
-    for old, new, mended_m in ties:
-        way.confirm(along(old), along(new), mended_m)
-        now = way.between(along(start), along(end))
-        assert 0.0 <= now <= last + 1e-9
-        last = now
+    way = Shortcuts()
+    confirm(way, along(0.0), along(end, where), Pose2(mended_m, 0.0, 0.0), CONFIG)
+    assert way.between(0.0, end) == pytest.approx(metres)
