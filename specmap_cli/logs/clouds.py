@@ -14,6 +14,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
+from specmap_cli.logs.planar import MOST_BEAMS
 from specmap_cli.logs.readers.encoding import NS_PER_S
 
 _CLOUD_TIME_MAX_S = 10.0  # times of points farther from the stamp are of no use
@@ -227,6 +228,9 @@ _FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray o
 _CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
 _CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
 _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
+_FEWEST_BEAMS = 36  # of a planar laser: ten degrees each
+_LONGEST_GAP = 4  # bearings without a return from one to the next where the lidar is coarser
+_SAME_BEAM = 1e-5  # turns by which directions of one beam of a planar laser differ
 
 
 class CloudFlattener:
@@ -235,9 +239,10 @@ class CloudFlattener:
     The band lies between two heights above the floor. A bearing with nothing in the band is +inf
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
     there, and NaN where it never had one, outside its field of view. The number of bearings is
-    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
-    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
-    laser have one height, whichever it is, and their scans keep the times of the beams.
+    `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
+    them. A floor of unknown height (None) is taken to be where the lowest returns of the first
+    cloud are. The clouds of a `planar` laser have one height, whichever it is, and their scans keep
+    the times of the beams.
     """
 
     def __init__(
@@ -303,16 +308,24 @@ class CloudFlattener:
         )
 
     def _choose_bearings(self, turn: FloatArray) -> None:
-        """Settle on the bearings, such that beams of a planar laser lie on no border of theirs."""
+        """Settle on the bearings: those of the beams of a planar laser, none on a border of theirs.
+
+        Where nothing came back for `_LONGEST_GAP` bearings, nothing was met: it counts for nothing.
+        """
+        finest = _CLOUD_BEAMS
+        if self._planar:
+            gaps = np.diff(np.unique(turn), append=np.inf)
+            step = float(np.median(gaps[gaps > _SAME_BEAM]))
+            finest = max(_FEWEST_BEAMS, min(MOST_BEAMS, round(1.0 / step)))
         for halvings in range(_MAX_HALVINGS + 1):
-            beams = _CLOUD_BEAMS >> halvings
+            beams = finest >> halvings
             if self._planar:
                 angles = math.tau * (turn * beams - 0.5)
                 sines, cosines = float(np.sin(angles).sum()), float(np.cos(angles).sum())
                 self._shift = math.atan2(sines, cosines) / math.tau
-            filled = np.unique(_bins(turn, beams, self._shift))
-            share = _CLOUD_FILLED_SHARE
-            if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
+            steps = np.diff(np.unique(_bins(turn, beams, self._shift)))
+            steps = steps[steps <= _LONGEST_GAP]
+            if len(steps) and len(steps) >= _CLOUD_FILLED_SHARE * steps.sum():
                 break
         bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
             math.tau / beams

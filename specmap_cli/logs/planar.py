@@ -24,7 +24,7 @@ from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
-_MOST_BEAMS = 3600  # of a scan: a tenth of a degree; of more, every second or later one is read
+MOST_BEAMS = 3600  # of a scan: a tenth of a degree; of more, every second or later one is read
 _RANGE_DECIMALS = 4  # metres: a tenth of the least step of the ranges of a laser
 # What a laser can mean: a round number of degrees between beams and in the middle of its view, or a
 # power of two of beams in a circle.
@@ -93,7 +93,7 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
         count = min(count, round(math.tau / abs(step)))
     if upside_down:
         layout, step = replace(layout, angle_min=-layout.angle_min), -step
-    stride = -(-count // _MOST_BEAMS)
+    stride = -(-count // MOST_BEAMS)
     numbers = np.arange(0, count, stride, dtype=np.float64)
     half, ascending = (count - 1) / 2.0, step > 0.0 or count == 1
     middle = np.round((layout.angle_min + half * step) / _MIDDLE_RAD)  # the same from either end

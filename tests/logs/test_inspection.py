@@ -119,7 +119,7 @@ def test_a_scan_with_times_and_without_a_maximum_and_a_single_beam(path: Path) -
 
 
 @pytest.mark.parametrize(("degrees", "full"), [(360.0, True), (200.0, False)])
-@pytest.mark.parametrize(("spread_m", "told"), [(0.3, "4,000 points"), (0.0, "720 beams")])
+@pytest.mark.parametrize(("spread_m", "told"), [(0.3, "4,000 points"), (0.0, "3600 beams")])
 def test_a_cloud_is_told_with_its_points_or_as_a_planar_scan_and_its_view(
     tmp_path: Path, degrees: float, full: bool, spread_m: float, told: str
 ) -> None:

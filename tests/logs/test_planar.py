@@ -214,6 +214,24 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
         assert nearest.max() < 6.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
 
 
+@pytest.mark.parametrize("beams", [45, 140, 360, 682, 1400])
+def test_clouds_of_a_planar_laser_keep_its_beams_though_many_meet_nothing(beams: int) -> None:
+    """The first cloud of a recorded one had a third of its returns: it was read at two degrees."""
+    rng = np.random.default_rng(beams)
+    bearings = np.linspace(-2.1, 2.1, beams)
+    ranges = 2.0 + 0.1 * np.arange(beams) % 3.0
+    flat = CloudFlattener(np.eye(4), None, LogConfig(), planar=True)
+    for _ in range(3):
+        first = rng.integers(0, beams // 2)
+        back = np.arange(first, first + beams // 3)
+        away = ranges[back, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])[back]
+        scan = flat.flatten(np.column_stack([away, np.full(len(back), 0.2)]), 9)
+        seen = np.isfinite(scan.ranges)
+        assert seen.sum() == len(back)
+        np.testing.assert_allclose(scan.ranges[seen], ranges[back])
+        np.testing.assert_allclose(scan.bearings[seen], bearings[back], atol=math.radians(0.5))
+
+
 @pytest.mark.parametrize(
     ("settings_", "floor"),
     [
