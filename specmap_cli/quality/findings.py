@@ -49,6 +49,7 @@ UNMEASURED, ODOMETRY, MISPLACED = "unmeasured-way", "odometry-disagrees", "laser
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
 _OTHER_UNIT = 2.0  # times the way of the map: no wheels slip so, a unit or a gear is wrong
+_STANDS = 1e-4  # times the way of the map: below any unit, the driver writes no motion
 # Metres by which a way may be longer or shorter: more than what a right map is off, and a room.
 _OFF_M, _OFF_M_POOR = 0.3, 1.0
 
@@ -199,7 +200,9 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     where = evidence.at_scan(int(starts[worst]))
     place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
     advice, scale = "is the odometry of this robot and this clock?", float(np.median(times))
-    if not 1.0 / _OTHER_UNIT < scale < _OTHER_UNIT:
+    if scale < _STANDS:
+        advice = "by odometry the robot stands still: build with --no-odometry"
+    elif not 1.0 / _OTHER_UNIT < scale < _OTHER_UNIT:
         times_as_far = f"{float(f'{scale:.2g}'):,g} times as far as the map"
         advice = f"odometry goes {times_as_far}: is it in metres?"
     yield Finding(
