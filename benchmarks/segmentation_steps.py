@@ -41,6 +41,7 @@ STEPS: tuple[tuple[str, dict[str, Any], dict[tuple[Any, str], Any]], ...] = (
     ("wide borders stay", {"merge": False}, {}),
     ("one placement", {"placements": 1}, {}),
     ("alcoves stay", {}, {(division, "_ALCOVE_M2"): 0.0}),
+    ("rings stay whole", {}, {(division, "without_rings"): np.copy}),
     ("what was only seen stays", {"rooms_only": False}, {}),
     ("furniture gets no label", {"fill": False}, {}),
 )

@@ -4,7 +4,7 @@ With the settings of `--preset paper` this is the visibility graph, Algorithm 2 
 node's label. docs/segmentation.md says what each step of the default settings adds, and why.
 
 Rooms end at walls. What a laser sees through windows, glass, railings and the doors of rooms that
-nobody entered lies open to the unknown.
+nobody entered lies open to the unknown. Corridors that go round are cut into their sides.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from specmap_cli.grids.gridmap import (
     CellArray,
     GridMap,
     LengthArray,
+    bands_of,
     clearance_of,
     joined,
     looked_up,
@@ -100,7 +101,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     2. for each placement of the nodes (`_placement`): the clusters of their graph, the halves of
        these, the flood that carries them to cells, and which borders are too wide to be any;
     3. what most placements agree on;
-    4. which regions are alcoves of others;
+    4. which regions are rings, and end at their corners; which are alcoves of others;
     5. with `rooms`, which regions were seen only, and are no rooms (`entered`).
 
     After that no border moves: cells without a label, and cupboards, take one.
@@ -159,6 +160,7 @@ def _divided(
     del first, others, clearance
     give_memory_back()
     if config.merge:  # step 4
+        open_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
         cells = without_dead_ends(cells, clearance_of(space), least, alcove)
     spread_labels(cells, waiting.array)
@@ -323,3 +325,79 @@ def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
             sides = inside[(inside >= 0) & kind]
             more += sign * np.bincount(sides, minlength=count)
     return np.asarray(more > 0)
+
+
+def open_rings(labels: LabelArray) -> None:
+    """Divide, in place, the regions (h, w) of an upright map that are rings into their sides."""
+    count = int(labels.max(initial=-1)) + 1
+    if not count:
+        return
+    labelled = labels >= 0
+    for label, window in enumerate(ndimage.find_objects(labels + 1)):
+        region = np.pad(labels[window] == label, 1)
+        beyond = (~region).view(np.uint8)
+        holes, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
+        del beyond
+        around = around.astype(np.min_scalar_type(holes), copy=False)
+        cuts, size = np.zeros_like(region), stats[:, cv2.CC_STAT_AREA]
+        for number, (left, top, wide, high, _) in enumerate(stats.tolist()):
+            if number not in (0, around[0, 0]):
+                large = 2 * size >= size[number]  # an obstacle that is smaller is passed over
+                large[[0, around[0, 0]]] = False, True
+                rows = slice(max(0, top - high), top + 2 * high)
+                near = rows, slice(max(0, left - wide), left + 2 * wide)
+                _cut_round(around[near] == number, looked_up(large, around[near]), cuts[near])
+        cuts &= region
+        if not cuts.any():
+            continue
+        del around
+        rest = (region & ~cuts).view(np.uint8)
+        pieces, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
+        beside = np.unique(piece[(cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest).view(np.bool_)])
+        scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
+        names = np.full(pieces, label, dtype=labels.dtype)
+        names[beside[scrap]] = -1
+        more = beside[~scrap][1:]
+        names[more] = count + np.arange(len(more))
+        count += len(more)
+        names[0] = -1  # the cuts, of all that is of the region
+        inner = slice(1, -1), slice(1, -1)
+        for rows in bands_of(labels[window].shape):
+            own = region[inner][rows]
+            labels[window][rows][own] = names[piece[inner][rows][own]]
+    spread_labels(labels, labelled)
+
+
+def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
+    """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
+
+    It is one when the hole is larger than the floor round it. The longer sides own the corners.
+    """
+    sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
+    whole = 1
+    for across in (sides[0] >= sides[1], sides[0] < sides[1]):  # the last are the cuts
+        views = [one.T if across else one for one in (hole, solid, cuts)]
+        corners = [[one[::up, ::left] for one in views] for up in (1, -1) for left in (1, -1)]
+        ends = [_cut(*one[:2]) for one in corners]
+        beside = [stop - start for _, start, stop in ends]
+        whole *= sides[across] + max(beside[0] + beside[1], beside[2] + beside[3])
+    if 2 * sides[0] * sides[1] > whole:
+        for (_, _, view), (row, start, stop) in zip(corners, ends, strict=True):
+            view[row, start:stop] = True
+
+
+def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
+    """Row, first column and end of the shortest cut from the left of a hole to what is solid."""
+    first, last = _extent(hole.sum(axis=1))
+    cuts = []
+    for row in range(first, (first + last) // 2 + 1):
+        stop = int(hole[row].argmax())
+        start = 1 + int(np.flatnonzero(solid[row, :stop])[-1:].max(initial=-1))
+        cuts.append((row, start, stop))
+    return min(cuts, key=lambda cut: cut[2] - cut[1] + cut[0])
+
+
+def _extent(counts: IntArray) -> tuple[int, int]:
+    """The first and the last place where a hole is at least half as wide as at its widest."""
+    wide = np.flatnonzero(2 * counts >= counts.max())
+    return int(wide[0]), int(wide[-1])
