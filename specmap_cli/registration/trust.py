@@ -104,8 +104,7 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         window, reach = wide_search(guess, config)
         if guess.trusted and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
-        found = scene.search(guess.pose, window, _WIDER_KERNELS, reach)
-        fit = _better(scene, guess, fit, found, guess.planar)
+        fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
     loose = np.zeros(2)
     if not measured:
         fit, loose = _carried_along(scene, guess, fit)
