@@ -228,7 +228,7 @@ _FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray o
 _CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
 _CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
 _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
-_FEWEST_BEAMS = 36  # of a planar laser: ten degrees each
+_FEWEST_BEAMS = 36  # of a planar laser, ten degrees each: fewer are returns that are far apart
 _LONGEST_GAP = 4  # bearings without a return from one to the next where the lidar is coarser
 _SAME_BEAM = 1e-5  # turns by which directions of one beam of a planar laser differ
 
@@ -314,9 +314,9 @@ class CloudFlattener:
         """
         finest = _CLOUD_BEAMS
         if self._planar:
-            gaps = np.diff(np.unique(turn), append=np.inf)
-            step = float(np.median(gaps[gaps > _SAME_BEAM]))
-            finest = max(_FEWEST_BEAMS, min(MOST_BEAMS, round(1.0 / step)))
+            gaps = np.diff(np.unique(turn), prepend=-np.inf, append=np.inf)
+            count = round(1.0 / float(np.median(gaps[gaps > _SAME_BEAM])))
+            finest = min(MOST_BEAMS, count) if count >= _FEWEST_BEAMS else finest
         for halvings in range(_MAX_HALVINGS + 1):
             beams = finest >> halvings
             if self._planar:

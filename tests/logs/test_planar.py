@@ -214,6 +214,18 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
         assert nearest.max() < 6.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
 
 
+@pytest.mark.parametrize("first", [0, 1, 3])
+def test_a_first_cloud_with_hardly_a_return_says_nothing_of_the_beams(first: int) -> None:
+    flat = CloudFlattener(np.eye(4), None, LogConfig(), planar=True)
+    angles = np.linspace(-2.0, 2.0, 400)
+    cloud = np.column_stack([3.0 * np.cos(angles), 3.0 * np.sin(angles), np.zeros(400)])
+    assert (
+        np.isfinite(flat.flatten(cloud[:: 399 // max(1, first - 1)][:first], 1).ranges).sum()
+        == first
+    )
+    assert len(flat.flatten(cloud, 2).ranges) == 180
+
+
 @pytest.mark.parametrize("beams", [45, 140, 360, 682, 1400])
 def test_clouds_of_a_planar_laser_keep_its_beams_though_many_meet_nothing(beams: int) -> None:
     """The first cloud of a recorded one had a third of its returns: it was read at two degrees."""
