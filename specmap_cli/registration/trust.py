@@ -102,9 +102,15 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         wide = not known and not (new and fit.score >= POOR_SCORE)
     if wide:
         window, reach = wide_search(guess, config)
-        if guess.trusted and _speaks_against(scene.support(fit.planar), config):
+        contradicted = _speaks_against(scene.support(fit.planar), config)
+        if guess.trusted and contradicted:
             window = replace(window, angle_rad=config.max_shift_rad)
-        fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
+        found = scene.search(guess.pose, window, _WIDER_KERNELS, reach)
+        # wheels give way to walls that object to their place, not to few that fit elsewhere, too
+        if contradicted:
+            fit = fit.or_better(found)
+        else:
+            fit = _better(scene, guess, fit, found, guess.planar)
     loose = np.zeros(2)
     if not measured:
         fit, loose = _carried_along(scene, guess, fit)

@@ -26,6 +26,7 @@ def locate(
 
 
 WORTHLESS = Reliance((9.0,) * 60, (9.0,) * 60, (9.0,) * 60)
+BAD_TURNS = Reliance((0.1,) * 60, (0.1,) * 60, (9.0,) * 60)
 
 
 @pytest.mark.parametrize(
@@ -101,17 +102,29 @@ def test_a_turn_walls_deny_gives_way_to_the_motion_before(world: GridMap, measur
 def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
     """Wheels whose turns are bad: they still know that the robot did not come half a metre on."""
     step = Pose2(0.5, 0.0, 0.0)
-    bad_turns = Reliance((0.1,) * 60, (0.1,) * 60, (9.0,) * 60)
     ahead = Fit(pose=turned(0.5, 0.0, 0.0), score=0.9)
     askew = Fit(pose=turned(0.0, 1.5, 0.0), score=0.9)
     denied = {
         (name, where): guess_of(IDENTITY, expecting(step), reliance).denies(fit)
-        for name, reliance in (("all", UNKNOWN), ("way", bad_turns), ("none", WORTHLESS))
+        for name, reliance in (("all", UNKNOWN), ("way", BAD_TURNS), ("none", WORTHLESS))
         for where, fit in (("ahead", ahead), ("askew", askew))
     }
     found = [key for key, value in denied.items() if value]
     assert found == [("all", "ahead"), ("all", "askew"), ("way", "ahead")]
     assert not guess_of(IDENTITY, expecting(step, measured=False)).denies(ahead)
+
+
+@pytest.mark.parametrize(("reliance", "kept"), [(BAD_TURNS, True), (WORTHLESS, False)])
+def test_a_wide_search_finds_no_place_that_wheels_deny(reliance: Reliance, kept: bool) -> None:
+    """Few returns, of furniture: they fit a little better half a metre beside the way driven."""
+    posts = np.random.default_rng(4).uniform(-4.0, 4.0, (60, 2))
+    known = np.concatenate([posts[:34], posts[:46] + (0.1, 0.6)])
+    scene = scene_of(posts, known, ToldAligner(), looked_m=9.0)
+    step = expecting(Pose2(0.1, 0.0, 0.0))
+    located = locate(scene, IDENTITY, step, IDENTITY, reliance)
+    assert located.wide_searched
+    assert located.agrees == kept
+    assert (located.fit.planar.distance < 0.1) == kept
 
 
 def line(x: FloatArray | float, y: FloatArray | float) -> FloatArray:
