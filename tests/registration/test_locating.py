@@ -114,11 +114,20 @@ def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
     assert not guess_of(IDENTITY, expecting(step, measured=False)).denies(ahead)
 
 
-@pytest.mark.parametrize(("reliance", "kept"), [(BAD_TURNS, True), (WORTHLESS, False)])
-def test_a_wide_search_finds_no_place_that_wheels_deny(reliance: Reliance, kept: bool) -> None:
-    """Few returns, of furniture: they fit a little better half a metre beside the way driven."""
+@pytest.mark.parametrize(
+    ("here", "there", "reliance", "kept"),
+    [
+        (34, 46, BAD_TURNS, True),
+        (34, 46, WORTHLESS, False),
+        (18, 34, BAD_TURNS, False),  # walls that could be seen say that the robot is not here
+    ],
+)
+def test_a_wide_search_finds_no_place_that_wheels_alone_deny(
+    here: int, there: int, reliance: Reliance, kept: bool
+) -> None:
+    """Few returns, of furniture: so many of 60 fit at the way driven, and so many beside it."""
     posts = np.random.default_rng(4).uniform(-4.0, 4.0, (60, 2))
-    known = np.concatenate([posts[:34], posts[:46] + (0.1, 0.6)])
+    known = np.concatenate([posts[:here], posts[:there] + (0.1, 0.6)])
     scene = scene_of(posts, known, ToldAligner(), looked_m=9.0)
     step = expecting(Pose2(0.1, 0.0, 0.0))
     located = locate(scene, IDENTITY, step, IDENTITY, reliance)
