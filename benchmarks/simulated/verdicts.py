@@ -49,11 +49,12 @@ SPOILED: dict[str, s.Spoiling] = {
     "laser 1 m ahead": s.misplaced_laser(1.0, 0.0),
 }
 # Findings that are true of a recording spoiled so, though its map may be right. That scans were
-# lost is true whenever it is said.
+# lost is true whenever it is said. Odometry that turns the other way cannot be told from a laser
+# upside down: the finding of a laser misplaced names both.
 TRUE: dict[str, frozenset[str]] = {
     "kidnapped": frozenset({"hole-in-log"}),
     "a scan every 2 s, no odometry": frozenset({"unmeasured-way"}),
-    "odometry of another robot": frozenset({"odometry-disagrees"}),
+    "odometry of another robot": frozenset({"odometry-disagrees", "laser-misplaced"}),
     "laser turned by 30 degrees": frozenset({"laser-misplaced"}),
     "laser 1 m ahead": frozenset({"laser-misplaced"}),
     "odometry 2 s late": frozenset({"odometry-disagrees"}),
