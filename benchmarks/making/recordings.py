@@ -41,13 +41,18 @@ def simulated(tour: SimulatedTour, spoil: Spoiling, path: Path) -> Recording:
 
 def recorded(name: str, spoil: Spoiling, path: Path) -> Recording:
     """A real log as it is spoiled: fr079 is held against its relations, others against poses."""
-    with open_log([recording(name)]) as log:
-        write(SweepStream(log, LogConfig()), spoil, path)
+    copied(name, spoil, path)
     relations = truth_file(f"{name}.relations")
     if relations.exists():
         known = read_relations(relations)
         return Recording(path, lambda found: relation_errors(found, known).translation_m.mean)
     return Recording(path, absolute(read_tum(truth_file(f"{name}_corrected.tum"))))
+
+
+def copied(name: str, spoil: Spoiling, path: Path) -> None:
+    """A real log as it is spoiled, of which no truth is known."""
+    with open_log([recording(name)]) as log:
+        write(SweepStream(log, LogConfig()), spoil, path)
 
 
 def own_odometry(path: Path) -> Recording:

@@ -206,6 +206,18 @@ def misplaced_laser(ahead_m: float, turn_rad: float) -> Spoiling:
     return turn
 
 
+def noisy_ranges(sigma_m: float, seed: int) -> Spoiling:
+    """Readings that err a little more, each by itself: a drive as it might as well have been."""
+
+    def shake(sweeps: Sweeps) -> Iterator[Sweep]:
+        rng = np.random.default_rng(seed)
+        for sweep in sweeps:
+            error = rng.normal(0.0, sigma_m, len(sweep.planar.ranges))
+            yield replace(sweep, planar=replace(sweep.planar, ranges=sweep.planar.ranges + error))
+
+    return shake
+
+
 def crowded(share: float, seed: int = 9) -> Spoiling:
     """People all around: a share of the beams, in bunches, ends at them."""
 

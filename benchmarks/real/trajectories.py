@@ -4,7 +4,8 @@ fr079 has true relations between poses (Kuemmerle et al. 2009): the mean error o
 recordings have poses by others' SLAM: the absolute error (ATE) and the relative one (RPE, per metre
 of path; Sturm et al. 2012). The odometry of fr101_sparse is right itself. `room_loop` and `ual` end
 where they began: what was seen at the end is laid on what was seen at the start (laying.py), and
-the distance is how far the walls lie apart.
+the distance is how far the walls lie apart. One drive is one draw: `ual` is the median of five, the
+others with readings that err by 2 mm more.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from benchmarks.data import recording, truth_file
 from benchmarks.making import spoiling as s
-from benchmarks.making.recordings import absolute, own_odometry, recorded
+from benchmarks.making.recordings import absolute, copied, own_odometry, recorded
 from benchmarks.real.laying import Seen, passes
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
@@ -29,6 +30,7 @@ from specmap_cli.maps.text_files import read_tum
 
 WITHOUT = "--no-odometry"
 _OTHERS = "Cartographer .0452 (Hess 2016), graph mapping .056, scan matching .258 (Kuemmerle 2009)"
+_NOISE_M, _COPIES = 0.002, 4  # of ual
 _LEAST_GAIN = 0.1  # of a view, by which it fits better elsewhere
 
 ROWS = (
@@ -44,7 +46,8 @@ ROWS = (
     Row("fr101", "fr101_sparse, against its own odometry", 0.06, None, "less", unit="m"),
     Row("livox", "hall_livox, ATE", 0.5, None, "less", unit="m"),
     Row("room_loop", "room_loop, its end against its start", 0.05, 0.03, "less", ".2f", "m"),
-    Row("ual", "ual (530 m outdoors), its end against its start", 0.3, 0.1, "less", ".2f", "m"),
+    Row("ual", "ual (530 m outdoors), end on start, median of 5", 0.3, 0.1, "less", ".2f", "m"),
+    Row("ual_worst", "ual, the worst of these", 0.3, 0.1, "less", ".2f", "m"),
     Row("lost", "scans lost in all of these", better="less", form=".0f"),
 )
 
@@ -74,11 +77,14 @@ def measure(bench: Bench) -> Figures:
     for name, (map_, error) in maps.items():
         figures[name] = error(read_tum(map_ / "trajectory.tum"))
         print(f"{name:18} {figures[name]:.4f} m", flush=True)
-    ends = {name: bench.recorded(name) for name in ("room_loop", "ual")}
-    lost = {map_: lost_in(map_) for map_ in (*(map_ for map_, _ in maps.values()), *ends.values())}
+    room_loop, ual = bench.recorded("room_loop"), bench.recorded("ual")
+    lost = {map_: lost_in(map_) for map_ in (*(map_ for map_, _ in maps.values()), room_loop, ual)}
+    off_m = [end_on_start(map_) for map_ in (ual, *(noisier(bench, k) for k in range(_COPIES)))]
     return {
         **figures,
-        **{name: end_on_start(map_) for name, map_ in ends.items()},
+        "room_loop": end_on_start(room_loop),
+        "ual": float(np.median(off_m)),
+        "ual_worst": max(off_m),
         "lost": sum(lost.values()),
     }
 
@@ -87,6 +93,12 @@ def thinned(bench: Bench, every_m: float) -> Path:
     """The map of fr079 with a scan each so many metres."""
     make = partial(recorded, "fr079", s.every_metres(every_m))
     return bench.simulated(f"fr079-every-{every_m:g}-m", make)
+
+
+def noisier(bench: Bench, seed: int) -> Path:
+    """The map of ual with readings that err more."""
+    make = partial(copied, "ual", s.noisy_ranges(_NOISE_M, seed))
+    return bench.simulated(f"ual-noisier-{seed}", make)
 
 
 def _relations(path: Path, found: Trajectory) -> float:

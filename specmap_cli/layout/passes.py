@@ -277,7 +277,10 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
                 continue
             error[:2, :2] *= min(1.0, _WIDE_SEARCH_MAX_M / (PRIOR_SIGMAS * longest)) ** 2
             reach = PRIOR_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
-            old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
+            # later rows and this one are where they are together: it would be found there
+            drifted = spread.between(np.arange(row), np.full(row, row))[:, :2, :2]
+            drifted_m = PRIOR_SIGMAS * np.sqrt(np.linalg.eigvalsh(drifted)[:, -1])
+            old = np.flatnonzero(drifted_m > LOOP_SEARCH_MAX_M)
             old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
             prior, old = Prior(pose, error), old[:: max(1, -(-len(old) // _MOST_ROWS))]
             around = Surroundings.of(walls.of_all(old.tolist(), draft.poses))

@@ -9,6 +9,7 @@ short steps showed holds for long ones, too.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,9 +18,12 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product, wrap
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window, observability
-from specmap_cli.registration.local_map import Bounds, Fit, Scene
+from specmap_cli.registration.local_map import QUICK_KERNEL_VOXELS, Bounds, Fit, Scene
 
 _S_PER_NS = 1e-9
+_LATEST = 30  # sweeps whose motions and times are remembered
+_HOLE = 2.0  # an interval so much longer than all of these but one is a hole in the log
+_CARRIED_S = 1.0  # a robot keeps its motion no longer: at 1 m/s^2 it is then 0.5 m off
 _FASTER = 1.5  # of the largest motion seen, and no more, may be carried on: robots speed up
 
 # What wheels on hard floors err at most, about twice what they do: metres and radians at rest, and
@@ -69,9 +73,10 @@ _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 class ExpectedMotion:
     """The motion of the base expected since the sweep before, `interval_s` seconds.
 
-    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
-    `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
-    a motion, `shortened` of a motion before that was too large to be carried on as it was.
+    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on, in
+    a `hole` of the log as far as in the time as long before it. `during` is the motion to de-skew
+    with. `jumped` tells of an odometry increment too large to be a motion, `shortened` of a motion
+    before that was too large to be carried on as it was.
     """
 
     motion: Pose2
@@ -81,20 +86,22 @@ class ExpectedMotion:
     measured: bool
     jumped: bool
     shortened: bool
+    hole: bool
 
 
 class MotionModel:
     """Expects the next motion; tell it by `conclude` what the motion turned out to be.
 
     Increments are per sweep and never divided by time: stamps of some logs come in bursts or step
-    backwards.
+    backwards. A hole is longer than the bursts of its log.
     """
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
         self._odometry: Pose2 | None = None
         self._stamp_ns: int | None = None
-        self._last = self._before = IDENTITY
+        self._interval_s = 0.0
+        self._latest = deque([(0.0, IDENTITY)] * 2, maxlen=_LATEST)  # seconds and motions
         # forward, sideways and in turn the two largest confirmed motions: one may be an error
         self._largest = [(0.0, 0.0)] * 3
 
@@ -104,7 +111,7 @@ class MotionModel:
         gap_ns = 0 if self._stamp_ns is None else sweep.stamp_ns - self._stamp_ns
         interval_s = max(0.0, gap_ns * _S_PER_NS)
         increment = None if before is None or now is None else before.inverse() @ now
-        self._odometry, self._stamp_ns = now, sweep.stamp_ns
+        self._odometry, self._stamp_ns, self._interval_s = now, sweep.stamp_ns, interval_s
         farthest_m = config.odometry_jump_m + config.odometry_jump_mps * interval_s
         jumped = increment is not None and not increment.distance <= farthest_m  # or it is NaN
         # the settings limit what may be carried on until walls have confirmed larger motions
@@ -114,13 +121,16 @@ class MotionModel:
         # Odometry, whose clock may be apart from the laser's, draws walls double in turns. The last
         # motion alone feeds each error back with its sign turned: a robot at rest would seem to
         # swing, ever wider. The mean of the last two lets go of what alternates.
-        a, b = self._before, self._last
+        (_, a), (_, b) = self._latest[-2], self._latest[-1]
         steady = Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2)
         # within limits: what is carried on must not grow from scan to scan by an error
         carried, during = (
             Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
-            for motion in (self._last, steady)
+            for motion in (b, steady)
         )
+        hole = self._is_hole(interval_s)
+        if hole:
+            carried = self._carried_for(interval_s)
         measured = increment is not None and not jumped
         timed = sweep.planar.beam_times_s is not None or sweep.cloud_times_s is not None
         return ExpectedMotion(
@@ -130,12 +140,27 @@ class MotionModel:
             interval_s=interval_s,
             measured=measured,
             jumped=jumped,
-            shortened=(not measured and carried != self._last) or (timed and during != steady),
+            shortened=(not (measured or hole) and carried != b) or (timed and during != steady),
+            hole=hole,
         )
+
+    def _is_hole(self, seconds: float) -> bool:
+        """Whether sweeps are missing between this one and the one before."""
+        known = sorted(interval_s for interval_s, _ in self._latest)
+        return len(known) == _LATEST and seconds > _HOLE * known[-2]
+
+    def _carried_for(self, seconds: float) -> Pose2:
+        """The motion in as long a time before, no longer than a robot keeps its motion."""
+        motion, left_s = IDENTITY, min(seconds, _CARRIED_S)
+        for interval_s, step in reversed(self._latest):
+            motion, left_s = step @ motion, left_s - interval_s
+            if left_s < 0.5 * interval_s:
+                break
+        return motion
 
     def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:
         """Remember the motion since the sweep before; walls may have `confirmed` it."""
-        self._before, self._last = self._last, motion
+        self._latest.append((self._interval_s, motion))
         if confirmed:
             sizes = zip(self._largest, motion, strict=True)
             ranked = [sorted((*pair, abs(value)), reverse=True) for pair, value in sizes]
@@ -341,16 +366,25 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
     """The pose (4, 4) expected after the pose `before`: by odometry or by the motion before.
 
     The motion before is carried on where odometry puts the sweep visibly off the walls. Stamps of
-    wheels and laser may be apart: in turns odometry is then off by many degrees.
+    wheels and laser may be apart: in turns odometry is then off by many degrees. In a hole of the
+    log wheels may have turned without being read.
     """
     guess = product(before, expected.motion.matrix())
     if not expected.measured:
         return guess
+    other = product(before, expected.carried.matrix())
+    if expected.hole:
+        window = near_window(measured=True)
+        found = [
+            scene.search(place, window, QUICK_KERNEL_VOXELS, Bounds.around(place, scene.config))
+            for place in (guess, other)
+        ]
+        is_better = scene.gain(*(fit.planar for fit in found)) > _GUESS_MARGIN
+        return found[1].pose if is_better else guess
     apart = expected.motion.inverse() @ expected.carried
     alike = apart.distance < _SMALL_M and abs(apart.theta) < _SMALL_RAD  # aligned to one place
     if alike or apart.distance > _WIDE_SEARCH_M or abs(apart.theta) > _SEARCH_RAD:
         return guess
-    other = product(before, expected.carried.matrix())
     places = [Pose2.from_matrix(pose) for pose in (guess, other)]
     by_odometry, by_motion = (scene.score(place) for place in places)
     better = by_motion > by_odometry + _GUESS_MARGIN

@@ -131,6 +131,7 @@ def expecting(
         measured=measured,
         jumped=False,
         shortened=False,
+        hole=False,
     )
 
 
