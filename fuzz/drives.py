@@ -27,7 +27,7 @@ from specmap_cli.logs.readers.encoding import (
     typestore,
 )
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour
 
 SCAN_TOPIC = "/scan"
 _SHIFT_NS = 123_457_000
@@ -83,7 +83,7 @@ def planar_drive(seconds: float, beams: int) -> Drive:
 
 def _sweeps(choices: SimulationOptions) -> tuple[Sweep, ...]:
     """The sweeps of a tour, none of them stamped with a whole second: mutations make those."""
-    tour = simulate_sweeps(plan(), choices)
+    tour = simulated_tour(plan(), choices).scans()
     return tuple(replace(sweep, stamp_ns=sweep.stamp_ns + _SHIFT_NS) for sweep, _ in tour)
 
 

@@ -23,7 +23,7 @@ from specmap_cli.grids.map_server import read_grid, write_grid
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour
 from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
 from tests.house import house, result
@@ -115,7 +115,7 @@ def flat_options() -> SimulationOptions:
 @pytest.fixture(scope="session")
 def flat_tour(flat: GridMap, flat_options: SimulationOptions) -> list[tuple[Sweep, Pose2]]:
     """Two laps through `flat` with their true poses."""
-    return list(simulate_sweeps(flat, flat_options))
+    return list(simulated_tour(flat, flat_options).scans())
 
 
 @pytest.fixture(scope="session")

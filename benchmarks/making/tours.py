@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.data import RESOLUTION_M, plan, rooms_of
 from specmap_cli.core.records import PosedScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour
 from specmap_cli.simulation.worlds import RoomTruth
 
 
@@ -31,7 +31,7 @@ def tour_of(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedSc
             planar=s.planar,
             base_from_laser=s.base_from_laser,
         )
-        for s, pose in simulate_sweeps(world, options)
+        for s, pose in simulated_tour(world, options).scans()
     ]
 
 

@@ -25,7 +25,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour
 from specmap_cli.simulation.worlds import RoomTruth
 
 CASES = (
@@ -88,7 +88,7 @@ def drive(world: GridMap, options: SimulationOptions, config: Config) -> Tour:
     selector, front_end = KeyframeSelector(config.keyframes), FrontEnd(config.registration)
     truth: list[Pose2] = []
     breaks: list[int] = []
-    for sweep, pose in simulate_sweeps(world, options):
+    for sweep, pose in simulated_tour(world, options).scans():
         scan = front_end.register(sweep)
         if scan.restarted:
             breaks.append(len(store))

@@ -24,7 +24,7 @@ from specmap_cli.pipelines.build import explore
 from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.session import Session
 from specmap_cli.registration.frontend import FrontEnd
-from specmap_cli.simulation.simulator import simulate_sweeps
+from specmap_cli.simulation.simulator import simulated_tour
 
 CASES = (
     ("lab_c_scan_furnitures", 360.0),
@@ -63,7 +63,7 @@ def closures_of(name: str, view: float) -> Judged:
     front_end = FrontEnd(config.registration)
 
     def scans() -> Iterator[PosedScan]:
-        for sweep, pose in simulate_sweeps(plan(name), options):
+        for sweep, pose in simulated_tour(plan(name), options).scans():
             poses[sweep.stamp_ns] = pose
             yield front_end.register(sweep)
 

@@ -23,7 +23,7 @@ from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.maps.store import Map, read_map
-from specmap_cli.simulation.simulator import simulate_sweeps
+from specmap_cli.simulation.simulator import simulated_tour
 
 WORLDS = {"row-1-11": 270.0, "row-2-10": 360.0, "row-4-10": 180.0, "office": 180.0}
 STANDING_SCANS, STANDING_PLACES = 40, 3
@@ -43,7 +43,7 @@ def measure(bench: Bench) -> Figures:
     own, standing, foreign = list[float](), list[float](), list[float]()
     for name, view in WORLDS.items():
         world = world_of(name)[0]
-        sweeps = (sweep for sweep, _ in simulate_sweeps(world, tour_options(view, 1)))
+        sweeps = (sweep for sweep, _ in simulated_tour(world, tour_options(view, 1)).scans())
         map_ = read_map(bench.simulated(f"unknown-{name}", partial(write, sweeps, iter)))
         with bench.scratch(f"unknown-{name}") as folder:
             own.append(_share(map_, _tour(name, view, 8, 2 * int(view)), folder))
@@ -77,7 +77,7 @@ def _tour(
     options = tour_options(
         view, seed, spacing_m=2.0, beams=beams, rate_hz=RATE_HZ, max_duration_s=longest_s
     )
-    return [sweep for sweep, _ in simulate_sweeps(world_of(name)[0], options)]
+    return [sweep for sweep, _ in simulated_tour(world_of(name)[0], options).scans()]
 
 
 def _share(map_: Map, sweeps: list[Sweep], folder: Path) -> float:

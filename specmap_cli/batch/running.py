@@ -98,9 +98,9 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
         return JobResult(this.refused(error))
 
 
-def failure(turn: Turn, kind: Kind, reason: str, limits: Limits) -> JobResult:
-    """The result of a job of which nothing is left: its worker was lost. It is in no file."""
-    return JobResult(_Attempt(turn, limits).record(kind, reason))
+def worker_lost(turn: Turn, reason: str, limits: Limits) -> JobResult:
+    """The result of a job whose worker was lost: nothing is left of it. It is in no file."""
+    return JobResult(_Attempt(turn, limits).record("worker", reason))
 
 
 def may_retry(record: JobRecord, attempts: int) -> bool:

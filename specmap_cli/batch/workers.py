@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import multiprocessing
-import os
 import signal
 import sys
 import warnings
@@ -26,9 +25,10 @@ from uuid import uuid4
 
 from specmap_cli import __version__
 from specmap_cli.batch.records import EXTRA, JobResult, Terms, Turn
-from specmap_cli.batch.running import failure, run_job
+from specmap_cli.batch.running import run_job, worker_lost
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.plugins import extra
+from specmap_cli.core.process import processors
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -105,11 +105,6 @@ def _connected(address: str, patience_s: float) -> Iterator[Client]:
                     where=worker,
                 )
         yield client
-
-
-def processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def share_of_memory_mb(cluster: Cluster) -> int:
@@ -200,7 +195,7 @@ class Workers:
             told = f"the worker died with the job ({killed})"
         else:
             told = f"the worker failed: {type(error).__name__}: {error}"
-        return turn, failure(turn, "worker", told, self._terms.limits)
+        return turn, worker_lost(turn, told, self._terms.limits)
 
     def _roomiest_host(self) -> tuple[list[str], int | None]:
         """The workers of the host with the most memory together, and the megabytes (None: any)."""
@@ -259,14 +254,14 @@ class LocalWorkers(Workers):
         if error is None:
             return turn, job.result()
         told = f"the worker failed: {type(error).__name__}: {error}"
-        return turn, failure(turn, "worker", told, self._terms.limits)
+        return turn, worker_lost(turn, told, self._terms.limits)
 
 
 def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
     """What a worker of Dask does with a job."""
     if version != __version__:
         told = f"the worker has specmap {__version__}, the client {version}: install the same"
-        return failure(turn, "worker", told, terms.limits)
+        return worker_lost(turn, told, terms.limits)
     from distributed import get_worker
 
     worker = get_worker()

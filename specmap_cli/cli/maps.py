@@ -251,7 +251,7 @@ def report(
     older = None if compare is None else settings.read(compare)
     check_files([out], [map_, compare], common, overwrite=overwrite)
     with common.progress() as progress:
-        page = report_map(stored, older, settings.load().limits, progress)
+        page = report_map(stored, older, settings.load(), progress)
     write_text(out, page)
     size = len(page.encode("utf-8"))
     result = {

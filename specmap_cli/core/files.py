@@ -6,6 +6,7 @@ By a lock a run shows that it lives: the system lets go of it however the run en
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
 import os
 import re
@@ -19,8 +20,7 @@ from typing import IO
 
 from specmap_cli.core.errors import MACHINE, OUTPUT, OUTPUT_EXISTS, UsageError
 
-# A pipe does not keep the opening waiting for a writer. Not every system has such pipes.
-_AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+_AT_ONCE = os.O_RDONLY | os.O_NONBLOCK  # a pipe does not keep the opening waiting for a writer
 
 _BYTES_PER_MB = 1_000_000
 _TOGETHER = 8  # files that are written to the disk at once
@@ -149,7 +149,7 @@ def continued(path: Path) -> IO[str]:
     Raises OSError, also for a link, by which a neighbour may have another file written, and for a
     pipe or a device.
     """
-    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | getattr(os, "O_NOFOLLOW", 0)
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | os.O_NOFOLLOW
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(errno.EINVAL, "is a link or no regular file", str(path))
     return os.fdopen(os.open(path, flags, 0o666), "a", buffering=1, encoding="utf-8")
@@ -197,10 +197,6 @@ def remove_leftovers(target: Path) -> tuple[Path, ...]:
 
 def lock(descriptor: int) -> bool | None:
     """Take the lock of an open file or directory; False: somebody has it; None: there are none."""
-    try:
-        import fcntl  # not on every system
-    except ImportError:
-        return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

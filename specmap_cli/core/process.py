@@ -71,6 +71,11 @@ def _limited() -> Iterator[None]:
                 one.set_num_threads(usual)
 
 
+def processors() -> int:
+    """How many processors this process may use; SPECMAP_PROCESSES=1 leaves the others to others."""
+    return 1 if os.environ.get("SPECMAP_PROCESSES") == "1" else len(os.sched_getaffinity(0))
+
+
 _M_MMAP_THRESHOLD = -3  # as <malloc.h> has it
 _LARGE = 1 << 24  # bytes: of smaller arrays new pages would take more time than the holes are worth
 

@@ -187,13 +187,8 @@ class KeyframeStore:
 
     def scan(self, number: int) -> PlanarScan:
         """The planar scan of one keyframe, read from disk, without the times of its beams."""
-        offset, size = self._begins[number], self._bytes[number]
-        if hasattr(os, "pread"):  # the file's own place, which forked processes share, stays
-            data = os.pread(self._file.fileno(), size, offset)
-        else:  # no such call on this system, which does not fork either
-            self._file.seek(offset)
-            data = self._file.read(size)
-            self._file.seek(0, os.SEEK_END)
+        # the file's own place, which forked processes share, stays
+        data = os.pread(self._file.fileno(), self._bytes[number], self._begins[number])
         readings = np.frombuffer(data, dtype=_READING)
         bearings, ranges = readings.astype(np.float64).reshape(2, -1)
         laser = self._laser_of[number]

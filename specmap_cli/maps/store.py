@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
-from specmap_cli.core.errors import MAP_MISSING, MapError, path_of
+from specmap_cli.core.errors import MAP_MISSING, MapError, instance_of, path_of
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
 from specmap_cli.core.json_values import part_of
@@ -452,9 +452,11 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
     return Map(path, record, limits, note, as_read)
 
 
-def opened_map(given: Map | Path | str, name: str, limits: LimitsConfig | None = None) -> Map:
+def opened_map(given: Map | Path | str, name: str, config: Config | None = None) -> Map:
     """A map that is read already, or the directory of one, which the caller's argument `name` has.
 
-    Raises MapError as `read_map` does, TypeError for what is neither.
+    The limits of `config` bound what is read. Raises MapError as `read_map` does, TypeError for
+    what is neither, or no settings.
     """
+    limits = None if config is None else instance_of(config, Config, "config").limits
     return given if isinstance(given, Map) else read_map(path_of(given, name), limits)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import NOT_ALIGNED, NoResultError, instance_of
+from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import IDENTITY, BentMotion, LocalMotion
 from specmap_cli.core.json_values import transform
 from specmap_cli.core.process import one_blas_thread
@@ -95,10 +95,7 @@ def compare_maps(
     be aligned, MapError for a directory that is no map or damaged.
     """
     progress = progress or Silent()
-    limits = None if config is None else config.limits
-    one, other = opened_map(old, "old", limits), opened_map(new, "new", limits)
-    if config is not None:
-        instance_of(config, Config, "config")
+    one, other = opened_map(old, "old", config), opened_map(new, "new", config)
     grids = one.map_grid, other.map_grid
     identical = (
         one.record.text() == other.record.text()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import InputError, LogError, Paths, instance_of, paths_of
+from specmap_cli.core.errors import InputError, LogError, Paths, paths_of
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread
@@ -57,9 +57,7 @@ def localize_log(
     """
     progress = progress or Silent()
     given = paths_of(logs, "logs")
-    if config is not None:
-        instance_of(config, Config, "config")
-    stored = opened_map(map_, "map_", None if config is None else config.limits)
+    stored = opened_map(map_, "map_", config)
     if stored.note:
         progress.note(stored.note)
     if stored.foreign_settings:

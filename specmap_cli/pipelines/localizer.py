@@ -100,10 +100,8 @@ class Localizer:
     def __init__(
         self, map_: Map | Path | str, config: Config | None = None, *, metric: bool = True
     ) -> None:
-        if config is not None:
-            instance_of(config, Config, "config")
-        stored = opened_map(map_, "map_", None if config is None else config.limits)
-        self.config = settings_for(stored, {}) if config is None else config
+        stored = opened_map(map_, "map_", config)
+        self.config = config or settings_for(stored, {})
         check_feature_sets(self.config)
         classifiers, settings = classifiers_of(stored), self.config.localization
         walls = MapWalls(*stored.division, classifiers.misfit, settings, lambda: _own(stored))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import InputError, UsageError, instance_of, path_of
+from specmap_cli.core.errors import InputError, UsageError, path_of
 from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
@@ -62,10 +62,9 @@ def merge_maps(
     the same recording, MapError as `read_map` does.
     """
     target, progress = path_of(out, "out"), progress or Silent()
-    limits = None if config is None else config.limits
-    given = [opened_map(one, "maps", limits) for one in maps]
+    given = [opened_map(one, "maps", config) for one in maps]
     first = oldest(given)
-    config = settings_for(first, {}) if config is None else instance_of(config, Config, "config")
+    config = config or settings_for(first, {})
     ordered = sorted(given, key=_age)
     check_feature_sets(config)
     made = OutputDirectory(target, overwrite, progress, made_of=given)

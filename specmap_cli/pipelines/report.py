@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map, opened_map
@@ -33,21 +33,21 @@ from specmap_cli.topology.topological_map import starts_of
 def report_map(
     map_: Map | Path | str,
     compare: Map | Path | str | None = None,
-    limits: LimitsConfig | None = None,
+    config: Config | None = None,
     progress: Progress | None = None,
 ) -> str:
     """The report on a map directory, or on one that was read, as the text of one HTML page.
 
-    `compare` is an older map of the same building. `limits` bound the files that are read. Raises
-    MapError for a damaged map, NoResultError when the two maps cannot be aligned.
+    `compare` is an older map of the same building. The limits of `config` bound the files that
+    are read. Raises MapError for a damaged map, NoResultError when the two maps cannot be aligned.
     """
     progress = progress or Silent()
-    stored = opened_map(map_, "map_", limits)
+    stored = opened_map(map_, "map_", config)
     if stored.note:
         progress.note(stored.note)
     changes = None
     if compare is not None:
-        older = opened_map(compare, "compare", limits)
+        older = opened_map(compare, "compare", config)
         found = compare_maps(older, stored, progress=progress)
         called = found.old.path.resolve().name, found.new.path.resolve().name
         changes = Changes(

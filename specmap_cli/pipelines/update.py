@@ -19,7 +19,6 @@ from specmap_cli.core.errors import (
     InputError,
     NoResultError,
     Paths,
-    instance_of,
     path_of,
     paths_of,
 )
@@ -92,9 +91,8 @@ def update_map(
     LogError, MapError and UsageError as `build_map` and `read_map` do.
     """
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
-    limits = None if config is None else config.limits
-    stored = opened_map(map_, "map_", limits)
-    config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
+    stored = opened_map(map_, "map_", config)
+    config = config or settings_for(stored, {})
     check_feature_sets(config)
     with (
         open_log(given, config.log) as log,
@@ -185,8 +183,8 @@ def build_like(
     for a recording that fits nowhere in `like`, and else as `build_map` and `read_map`.
     """
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
-    stored = opened_map(like, "like", None if config is None else config.limits)
-    config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
+    stored = opened_map(like, "like", config)
+    config = config or settings_for(stored, {})
     check_feature_sets(config)
     with (
         open_log(given, config.log) as log,

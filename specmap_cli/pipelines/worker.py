@@ -10,9 +10,9 @@ The work is a generator: what it yields are the items, what it returns is the re
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import multiprocessing
-import os
 import signal
 import sys
 import threading
@@ -28,7 +28,7 @@ from typing import Any, Generic, TypeVar
 import cv2
 
 from specmap_cli.core.errors import INTERRUPTED, MEMORY, InputError, SpecmapError
-from specmap_cli.core.process import give_memory_back
+from specmap_cli.core.process import give_memory_back, processors
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -77,11 +77,9 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
     # breaks. It copies locks as other threads hold them: only the main thread forks.
     in_main = threading.current_thread() is threading.main_thread()
     alone = not multiprocessing.current_process().daemon
-    if sys.platform != "linux" or not in_main or not alone or _processors() < 2:
+    if sys.platform != "linux" or not in_main or not alone or processors() < 2:
         yield Ahead(produce())
         return
-    import fcntl  # not on every system
-
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the child would wait for the threads of a pool that it does not have
     context = multiprocessing.get_context("fork")
@@ -106,11 +104,6 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
             child.terminate()
             child.join()
         cv2.setNumThreads(threads)
-
-
-def _processors() -> int:
-    """How many processors this process may use; SPECMAP_PROCESSES=1 leaves the others to others."""
-    return 1 if os.environ.get("SPECMAP_PROCESSES") == "1" else len(os.sched_getaffinity(0))
 
 
 @contextmanager

@@ -283,7 +283,10 @@ class SimulatedTour:
         return path_length(self.truth.at(self.scan_times_s))
 
     def scans(self) -> Iterator[tuple[Sweep, Pose2]]:
-        """Every planar scan, as read from a log, with its true base pose in the plan."""
+        """Every planar scan, as read from a log, with its true base pose in the plan.
+
+        A 3D lidar has `clouds` instead, which become scans when a log of them is read.
+        """
         laser, times = self.laser, self.scan_times_s
         truth, guesses = self.truth.at(times), self.odometry.at(times)
         beam_times = laser.beam_times_s if laser.sweep_s > 0.0 else None
@@ -385,17 +388,6 @@ def tour_along(
         area_m2=area_m2,
         noise=noise,
     )
-
-
-def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple[Sweep, Pose2]]:
-    """The planar scans of a tour with odometry, as read from a log, with their true base poses.
-
-    Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
-    """
-    if options.rings > 1:
-        hint = "write a log of them by specmap simulate"
-        raise UsageError("a 3D lidar has clouds", hint, mark=";", where="rings")
-    yield from simulated_tour(plan, options).scans()
 
 
 def _pose(row: FloatArray) -> Pose2:

@@ -21,7 +21,7 @@ from specmap_cli.batch import processes
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.places import folder_at
 from specmap_cli.batch.records import Job, JobRecord, Limits, Plan, Step, Terms, Turn
-from specmap_cli.batch.running import failure, may_retry, run_job
+from specmap_cli.batch.running import may_retry, run_job, worker_lost
 from specmap_cli.batch.sources import digest_of, inputs_of
 from specmap_cli.cli.making import known_options
 from specmap_cli.core.schemas import read_schema
@@ -216,7 +216,7 @@ def test_without_the_extra_a_line_asks_for_it(run: Bench, monkeypatch: pytest.Mo
 def test_a_lost_worker_is_told_of_without_a_file() -> None:
     for attempt, again in ((1, True), (2, False)):
         turn = Turn(Job("monday", ("monday.mcap",), ALL), attempt)
-        lost = failure(turn, "worker", "the worker\nwas lost\udcff", Limits()).record
+        lost = worker_lost(turn, "the worker\nwas lost\udcff", Limits()).record
         assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
         assert lost.reason == "the worker was lost\\udcff"
 

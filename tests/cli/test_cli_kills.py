@@ -23,7 +23,6 @@ from specmap_cli.cli import main
 from specmap_cli.maps import directory as map_directory
 from specmap_cli.maps.directory import put_right
 from specmap_cli.maps.store import read_map
-from specmap_cli.pipelines import worker
 from tests.cli.conftest import QUICK, leftovers
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks, as Linux does them safely")
@@ -88,7 +87,7 @@ def watch(place: Path, stop: Stop) -> None:
     sys.addaudithook(hook)
     Path.open = open_half  # type: ignore[method-assign, assignment]
     map_directory.exchanged = exchange
-    worker._processors = lambda: 1
+    os.environ["SPECMAP_PROCESSES"] = "1"
 
 
 def in_child(command: Sequence[str], place: Path, stop: Stop) -> int:

@@ -60,11 +60,8 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
             np.testing.assert_allclose(store.points(number, 3.0), hits, atol=1e-4)
 
 
-@pytest.mark.parametrize("at_a_place", [True, False])
-def test_a_store_is_read_while_it_grows(monkeypatch: pytest.MonkeyPatch, at_a_place: bool) -> None:
-    """Also where the system cannot read at a place, and scans without a beam among them."""
-    if not at_a_place:
-        monkeypatch.delattr(os, "pread", raising=False)
+def test_a_store_is_read_while_it_grows() -> None:
+    """Scans without a beam are among them."""
     with KeyframeStore() as store:
         assert store.poses.shape == store.poses_of([]).shape == (0, 3)
         for number in range(5):

@@ -37,7 +37,7 @@ from tests.maps.test_store import files_in
 
 @pytest.fixture
 def two_processors(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_processors", lambda: 2)
+    monkeypatch.setattr(module, "processors", lambda: 2)
 
 
 Work = Generator[int, None, int]
@@ -70,7 +70,7 @@ class StubbornError(Exception):
 def test_work_is_done_ahead_where_it_can_be(
     processors: set[int], said: str, platform: str, apart: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors, raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv("SPECMAP_PROCESSES", said)
     with ahead(lambda: pids(3)) as work:
@@ -215,7 +215,7 @@ def test_a_killed_parent_leaves_no_child() -> None:
     code = """
 import os
 from specmap_cli.pipelines import worker as module
-module._processors = lambda: 2
+module.processors = lambda: 2
 def work():
     while True:
         yield os.getpid()
@@ -257,7 +257,7 @@ def test_a_map_is_the_same_with_and_without_the_child(
     monkeypatch.setattr(finishing, "write_scans", written)
     log = record_tour(flat, tmp_path / "tour.mcap", rate_hz=3, max_duration_s=50)
     for processors, name in ((1, "one"), (2, "two")):
-        monkeypatch.setattr(module, "_processors", lambda n=processors: n)
+        monkeypatch.setattr(module, "processors", lambda n=processors: n)
         build_map(log, tmp_path / name, QUICK)
     alone, beside = (tmp_path / "writers").read_text(encoding="ascii").split()
     assert int(alone) == os.getpid() != int(beside)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,6 +78,19 @@ def test_the_guess_is_odometry_s_unless_the_walls_object(world: GridMap) -> None
     assert np.allclose(best_guess(scene, before, expecting(wildly, wildly)), wildly.matrix())
     unmeasured = expecting(wildly, IDENTITY, measured=False)
     assert np.allclose(best_guess(scene, before, unmeasured), wildly.matrix())
+
+
+def test_in_a_hole_walls_choose_between_odometry_and_the_motion_before(world: GridMap) -> None:
+    """The truth is the identity; what is not right may be off by a little more than is searched."""
+    scene, before = scene_in(world, ToldAligner()), np.eye(4)
+    right, wrong = Pose2(0.1, 0.0, 0.0), Pose2(-1.3, 0.0, 0.02)
+    for odometry, carried in ((wrong, right), (right, wrong), (right, right)):
+        expected = replace(expecting(odometry, carried), hole=True)
+        guess = Pose2.from_matrix(best_guess(scene, before, expected))
+        if odometry is right:
+            assert guess == right, "odometry is the guess unless walls object"
+        else:
+            assert guess.distance < 0.06
 
 
 @pytest.mark.parametrize("backwards", [1.0, 0.5])
@@ -241,10 +254,10 @@ def with_beams(scene: Scene) -> Scene:
     """The scene, its scan made of the points in order of bearing."""
     points = scene.view.walls
     x, y = points[np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")].T
-    planar = dataclasses.replace(
+    planar = replace(
         scene.view.planar, bearings=np.arctan2(y, x), ranges=np.hypot(x, y), range_max=30.0
     )
-    return dataclasses.replace(scene, view=dataclasses.replace(scene.view, planar=planar))
+    return replace(scene, view=replace(scene.view, planar=planar))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, -2.0])

@@ -95,6 +95,31 @@ def test_errors_that_alternate_are_not_de_skewed_with() -> None:
 
 
 @pytest.mark.parametrize(
+    ("intervals_s", "gap_s", "carried_m"),
+    [
+        ([0.1] * 30, 0.5, 1.0),
+        ([0.1] * 30, 60.0, 2.0),  # a robot that is not seen does not go on for ever
+        ([0.3] + [0.1] * 29, 0.24, 0.4),  # one hole is no burst
+        ([0.1] * 30, 0.2, 0.2),
+        ([0.02, 0.02, 0.26] * 10, 0.5, 0.2),  # stamps in bursts
+        ([0.1] * 20, 0.5, 0.2),  # too few to tell
+    ],
+)
+def test_in_a_hole_the_robot_goes_on_as_before(
+    intervals_s: list[float], gap_s: float, carried_m: float
+) -> None:
+    model, now_s = MotionModel(RegistrationConfig()), 0.0
+    for interval_s in intervals_s:
+        now_s += interval_s
+        model.expect(sweep(now_s))
+        model.conclude(Pose2(0.2, 0.0, 0.0))
+    expected = model.expect(sweep(now_s + gap_s))
+    assert expected.carried.x == pytest.approx(carried_m)
+    assert expected.hole == (carried_m > 0.2)
+    assert not expected.shortened
+
+
+@pytest.mark.parametrize(
     ("last", "now", "shortened"),
     [
         (Pose2(0.5, 0.2, 0.8), sweep(), False),

@@ -22,7 +22,6 @@ from specmap_cli.simulation.simulator import (
     OdometryErrors,
     SimulationOptions,
     drifting_odometry,
-    simulate_sweeps,
     simulated_tour,
 )
 from specmap_cli.simulation.tours import Drive, drive
@@ -208,7 +207,7 @@ def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
 
 
 def test_stamps_are_whole_microseconds_at_the_rate(flat: GridMap) -> None:
-    sweeps = [sweep for sweep, _ in simulate_sweeps(flat, brief(rate_hz=3))]
+    sweeps = [sweep for sweep, _ in simulated_tour(flat, brief(rate_hz=3)).scans()]
     assert [sweep.index for sweep in sweeps] == list(range(16))
     assert sweeps[0].stamp_ns == simulator.START_NS == simulator.stamp_of(0.0)
     for before, after in pairwise(sweep.stamp_ns for sweep in sweeps):
@@ -241,7 +240,8 @@ def test_odometry_begins_before_and_ends_after_the_scans(flat: GridMap, rate: fl
 @pytest.mark.parametrize("sweep_s", [0.0, 0.2])
 def test_mounting_range_and_times_of_beams_reach_the_sweeps(flat: GridMap, sweep_s: float) -> None:
     mounting = {"laser_x_m": 0.2, "laser_y_m": -0.1, "laser_yaw_deg": 90.0}
-    for sweep, _ in simulate_sweeps(flat, brief(**mounting, range_max_m=3.0, sweep_s=sweep_s)):
+    options = brief(**mounting, range_max_m=3.0, sweep_s=sweep_s)
+    for sweep, _ in simulated_tour(flat, options).scans():
         assert sweep.base_from_laser == Pose2(0.2, -0.1, np.pi / 2)
         assert sweep.planar.range_max == 3.0
         assert sweep.planar.ranges[np.isfinite(sweep.planar.ranges)].max(initial=0.0) <= 3.0
@@ -270,10 +270,8 @@ def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str)
     assert "\n" not in str(caught.value)
 
 
-def test_only_a_lidar_must_stand_below_the_ceiling_and_has_no_planar_scans(flat: GridMap) -> None:
+def test_only_a_lidar_must_stand_below_the_ceiling(flat: GridMap) -> None:
     assert simulator.simulation_options(ceiling_m=0.6).rings == 1
-    with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
-        next(simulate_sweeps(flat, brief(rings=8)))
     lidar = simulated_tour(flat, brief(rings=4, vertical_fov_deg=30.0)).lidar
     assert lidar is not None
     np.testing.assert_allclose(np.degrees(lidar.elevations), [-15, -5, 5, 15])

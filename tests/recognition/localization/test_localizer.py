@@ -31,7 +31,7 @@ from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Label, Localizer, resampled, resampling
 from specmap_cli.recognition.localization.walls import MapWalls
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour
 from tests.recognition.posed import posed, walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
@@ -46,7 +46,7 @@ def posed_tour(plan: GridMap, seed: int, **options: Any) -> list[PosedScan]:
     """Scans of a tour at their true poses."""
     laser = {"field_of_view_deg": 360, "beams": 180, "range_max_m": 12, "rate_hz": 2}
     chosen = SimulationOptions.model_validate({**laser, **options, "seed": seed})
-    sweeps = simulate_sweeps(plan, chosen)
+    sweeps = simulated_tour(plan, chosen).scans()
     return [posed(s.planar, pose, s.index, s.base_from_laser) for s, pose in sweeps]
 
 
