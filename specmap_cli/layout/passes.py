@@ -51,9 +51,9 @@ _MOVED_M = 1.0  # a guess that moved this far is worth another search
 _FIRST_STRETCH, _STRETCH_GROWTH = 200, 1.2  # of the path while it is driven, in keyframes
 _NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
 
-_WIDE_EVERY_M = 5.0  # path between searches as far as its error reaches
+_WIDE_EVERY_M = 2.5  # path between searches as far as its error reaches
 _WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
-_LOST_TRIES, _LOST_EVERY = 8, 2  # searches for a part; nodes that show nearly the same
+_LOST_TRIES, _LOST_EVERY = 12, 2  # searches for a part; nodes that show nearly the same
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
 
 

@@ -348,8 +348,9 @@ class Surroundings:
         """The pose of a view `source` (N, 2) among the walls, however far the prior reaches.
 
         It must fit well, nowhere else nearly as well, and leave no direction open: in a bare
-        corridor nothing is found. `seen` says which cells of a field, and so near to them, were
-        looked into.
+        corridor nothing is found. Among trees less fits than among walls: the more the best place
+        leads by, the less must fit there. `seen` says which cells of a field, and so near to them,
+        were looked into.
         """
         few = thinned(source, FINE_POINTS_M)
         if len(few) < MATCH_POINTS:
@@ -358,11 +359,15 @@ class Surroundings:
         rough = answers(self.field, some, prior, _WIDE_STEP_M, _WIDE_STEP_RAD)
         fine = [search(self.field, few, match.pose, _AROUND) for match in rough]
         fine.sort(key=lambda match: -match.score)
-        if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
+        if not fine:
             return None
         best = fine[0].pose
+        lead = fine[0].score - max((match.score for match in fine[1:]), default=0.0)
+        if lead < _LEAD:
+            return None
+        least = max(LEAST_EVIDENCE, SURE - (lead - _LEAD))
         near = np.hypot(*(self.points - (best.x, best.y)).T) < _NEAR_RANGES * MATCH_RANGE_M
-        fit = Place.of(self.points[near], seen).confirmed(source, best, SURE)
+        fit = Place.of(self.points[near], seen).confirmed(source, best, least)
         if fit is None:
             return None
         variance = float(inverse3(fit.information)[:2, :2].trace())

@@ -396,6 +396,29 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
+def maybe_back(evidence: Evidence) -> Iterator[Finding]:
+    """Walls found where the robot was before, too few times to move the map to there."""
+    layout = evidence.layout
+    passes = [link for link in layout.dropped if link.kind == "nearby"]
+    alone = [link for link in passes if layout.why.get((link.source, link.target)) == "alone"]
+    votes, motion = _most_agreed(alone, layout.poses)
+    if votes >= _LEAST:
+        start = min(max(link.source, link.target) for link in alone)
+        x, y, _ = compose(motion, layout.poses[start]) - layout.poses[start]
+        where = evidence.at_keyframe(start)
+        yield Finding(
+            code=RIVAL,
+            severity="doubtful",
+            message=f"walls seen around {told(where)} and {counted(votes - 1, 'time')} more look "
+            f"like those seen {math.hypot(x, y):.1f} m from there before: too few to tell whether "
+            "the robot came back",
+            advice="drive some metres more of a way that was driven before",
+            value=float(votes),
+            limit=float(_LEAST),
+            where=where,
+        )
+
+
 def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
     """How many links agree on one motion (3,) of the newer piece in the map, and that motion.
 
@@ -433,5 +456,5 @@ def narrow_links(driven: int, narrow: int, radius_m: float) -> Iterator[Finding]
 
 def of_layout(evidence: Evidence) -> list[Finding]:
     """What is to be said of a layout, of one recording or of several."""
-    checks = (loose_parts, moved_parts, rival_places, refused_layout, walls, left_out)
+    checks = (loose_parts, moved_parts, rival_places, maybe_back, refused_layout, walls, left_out)
     return [finding for check in checks for finding in check(evidence)]
