@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.consistency import judge
+from specmap_cli.grids.matching import PRIOR_SIGMAS
+from specmap_cli.layout.consistency import judge, path_error
 from specmap_cli.layout.passes import (
+    LOOP_SEARCH_MAX_M,
     PassesOnTheWay,
     candidates,
     far_passes,
@@ -251,6 +253,10 @@ def test_what_lies_metres_away_is_found(drive: Drive, aside: tuple[Graph, Walls]
         assert missed(between(truth, claim.source, claim.target), claim.source_from_target)[0] < 0.2
     assert {claim.kind for claim in claims} == {"nearby"}
     assert min(away_m(graph, one) for one in late) > 3.0
+    older, newer = np.array([sorted(ends_of(graph, one)) for one in claims]).T
+    drifted = path_error(graph, graph.poses).between(older, newer)
+    sigmas = np.linalg.eigvalsh(drifted[:, :2, :2])[:, -1] ** 0.5
+    assert min(PRIOR_SIGMAS * sigmas) > LOOP_SEARCH_MAX_M, "what is nearer along the way is no find"
     (alone,) = judge(graph, as_tracked(graph), late[:1])
     assert alone.reason == "alone", "one pass far away is not believed"
 

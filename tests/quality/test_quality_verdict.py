@@ -16,7 +16,7 @@ from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove
 from specmap_cli.quality.evidence import Evidence, Stretch, stretches_of
-from specmap_cli.quality.findings import rival_places
+from specmap_cli.quality.findings import maybe_back, rival_places
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -359,6 +359,20 @@ def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
 )
 def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
     assert rivals(refuted) == []
+
+
+def test_walls_found_elsewhere_too_few_times_to_go_by_are_told() -> None:
+    found = [replace(claim(k, k + 30, ELSEWHERE), kind="nearby") for k in (10, 12, 14)]
+    why = {(one.source, one.target): "alone" for one in found}
+    (told,) = maybe_back(laid(evidence_of(POSES), dropped=tuple(found), why=why))
+    away = (ELSEWHERE @ Pose2(*POSES[40].tolist())).matrix() - Pose2(*POSES[40].tolist()).matrix()
+    distance_m = np.hypot(*away[:2, 3])
+    assert (told.severity, told.code, told.value) == ("doubtful", "rival-place", 3.0)
+    assert told.message.startswith("walls seen around 40.000 s and 2 times more look like those ")
+    assert f" {distance_m:.1f} m from there before" in told.message
+    for fewer in ({"dropped": found[:1]}, {"why": dict.fromkeys(why, "outvoted")}):
+        changed: dict[str, Any] = {"dropped": found, "why": why, **fewer}
+        assert not list(maybe_back(laid(evidence_of(POSES), **changed)))
 
 
 def test_the_memory_does_not_grow_with_the_square_of_the_refuted_closures() -> None:
