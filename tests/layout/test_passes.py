@@ -17,7 +17,6 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS
 from specmap_cli.layout.consistency import judge, path_error
 from specmap_cli.layout.passes import (
-    LOOP_SEARCH_MAX_M,
     PassesOnTheWay,
     candidates,
     far_passes,
@@ -253,12 +252,19 @@ def test_what_lies_metres_away_is_found(drive: Drive, aside: tuple[Graph, Walls]
         assert missed(between(truth, claim.source, claim.target), claim.source_from_target)[0] < 0.2
     assert {claim.kind for claim in claims} == {"nearby"}
     assert min(away_m(graph, one) for one in late) > 3.0
-    older, newer = np.array([sorted(ends_of(graph, one)) for one in claims]).T
-    drifted = path_error(graph, graph.poses).between(older, newer)
-    sigmas = np.linalg.eigvalsh(drifted[:, :2, :2])[:, -1] ** 0.5
-    assert min(PRIOR_SIGMAS * sigmas) > LOOP_SEARCH_MAX_M, "what is nearer along the way is no find"
     (alone,) = judge(graph, as_tracked(graph), late[:1])
     assert alone.reason == "alone", "one pass far away is not believed"
+
+
+def test_nothing_is_found_where_the_path_cannot_have_drifted_from(
+    aside: tuple[Graph, Walls],
+) -> None:
+    """What was seen since then lies where it lies: it would be found there."""
+    graph, least_m = aside[0], 5.2
+    claims = far(aside, as_tracked(graph), LOOP_SEARCH_MAX_M=least_m)
+    older, newer = np.array([sorted(ends_of(graph, one)) for one in claims]).T
+    drifted = path_error(graph, graph.poses).between(older, newer)
+    assert min(PRIOR_SIGMAS * np.linalg.eigvalsh(drifted[:, :2, :2])[:, -1] ** 0.5) > least_m
 
 
 def test_nothing_is_searched_where_it_need_not_be(aside: tuple[Graph, Walls]) -> None:
