@@ -453,10 +453,6 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
 
 
 def opened_map(given: Map | Path | str, name: str, config: Config | None = None) -> Map:
-    """A map that is read already, or the directory of one, which the caller's argument `name` has.
-
-    The limits of `config` bound what is read. Raises MapError as `read_map` does, TypeError for
-    what is neither, or no settings.
-    """
+    """The argument `name`, a map or the directory of one, within limits; TypeError for others."""
     limits = None if config is None else instance_of(config, Config, "config").limits
     return given if isinstance(given, Map) else read_map(path_of(given, name), limits)
