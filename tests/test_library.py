@@ -20,9 +20,12 @@ from specmap_cli.core.geometry import Pose2, nearest_motion
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
+from specmap_cli.pipelines.compare import compare_maps
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
+from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.pipelines.update import update_map
 from tests.conftest import SAMPLE_LOGS
 
 ROOT = Path(__file__).parent.parent
@@ -196,6 +199,9 @@ def test_the_example_of_a_node_feeds_the_localizer(
         lambda: specmap_cli.localize_log("log.mcap", "out", 3),  # type: ignore[arg-type]
         lambda: specmap_cli.segment_map(3, "out"),  # type: ignore[arg-type]
         lambda: specmap_cli.segment_map("m.yaml", "out", "paper"),  # type: ignore[arg-type]
+        lambda: update_map("map", "log.mcap", "out", {"seed": 1}),  # type: ignore[arg-type]
+        lambda: merge_maps(["map", "b"], "out", {"seed": 1}),  # type: ignore[arg-type]
+        lambda: compare_maps("map", "b", {"seed": 1}),  # type: ignore[arg-type]
         lambda: specmap_cli.read_map(None),  # type: ignore[arg-type]
         lambda: specmap_cli.Localizer(None),  # type: ignore[arg-type]
         lambda: specmap_cli.Localizer("map", {"seed": 1}),  # type: ignore[arg-type]

@@ -277,7 +277,7 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
                 continue
             error[:2, :2] *= min(1.0, _WIDE_SEARCH_MAX_M / (PRIOR_SIGMAS * longest)) ** 2
             reach = PRIOR_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
-            # later rows and this one are where they are together: it would be found there
+            # among walls that the path cannot have drifted from, a view is found where it is
             drifted = spread.between(np.arange(row), np.full(row, row))[:, :2, :2]
             drifted_m = PRIOR_SIGMAS * np.sqrt(np.linalg.eigvalsh(drifted)[:, -1])
             old = np.flatnonzero(drifted_m > LOOP_SEARCH_MAX_M)

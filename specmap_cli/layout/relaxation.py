@@ -60,7 +60,6 @@ def relax(
     ends = {end for closure in closures for end in (closure.source, closure.target)}
     graph, walls, found = (passes or PassesOnTheWay(store)).ended(breaks, ends)
     views, tied = Views.of(store, graph), solved(graph, found)
-    closures = [measured(graph, walls, closure) for closure in closures]
     closed, judged = close(graph, tied, closures, walls)
     draft, outliers = settle(graph, closed)
     refuted = tuple(one.link for one in judged if not one.believed)
@@ -69,17 +68,18 @@ def relax(
     return replace(layout, why=explained(layout, judged))
 
 
-def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
-    """A closure told more precisely, by the walls around its two keyframes where these fit.
+def measured(graph: Graph, walls: Walls, claim: Link) -> Link:
+    """A claim told more precisely, by the walls around its two keyframes where these fit.
 
-    Grids of whole submaps match to their cells, and a path that drifts within one bends its grid.
+    Grids of whole submaps, and walls of many nodes, match to their cells, which lie otherwise in
+    another frame; and a path that drifts within them bends them.
     """
-    rows = graph.row[closure.source], graph.row[closure.target]
-    guess = closure.source_from_target
+    rows = graph.row[claim.source], graph.row[claim.target]
+    guess = claim.source_from_target
     near = match_passes(graph, walls, graph.poses, rows, guess, CLOSURE_OFF_M, PLACE_NODES)
     if near is None or (guess.inverse() @ near.source_from_target).distance > CLOSURE_OFF_M:
-        return closure
-    return replace(closure, source_from_target=near.source_from_target)
+        return claim
+    return replace(claim, source_from_target=near.source_from_target)
 
 
 def close(
@@ -90,7 +90,8 @@ def close(
     Claims are closures, and walls found from row `first` on where none were expected. They bring
     passes near each other, which are searched then.
     """
-    judged = judge(graph, draft, [*closures, *far_passes(graph, draft, walls, first)])
+    claims = (*closures, *far_passes(graph, draft, walls, first))
+    judged = judge(graph, draft, [measured(graph, walls, claim) for claim in claims])
     believed = [one.link for one in judged if one.believed]
     if believed:
         draft = place_parts(graph, draft, believed).adding(believed)

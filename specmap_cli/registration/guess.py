@@ -23,7 +23,7 @@ from specmap_cli.registration.local_map import QUICK_KERNEL_VOXELS, Bounds, Fit,
 _S_PER_NS = 1e-9
 _LATEST = 30  # sweeps whose motions and times are remembered
 _HOLE = 2.0  # an interval so much longer than all of these but one is a hole in the log
-_CARRIED_S = 1.0  # a robot keeps its motion no longer: at 1 m/s^2 it is then 0.5 m off
+_CARRIED_S = 1.0  # a longer one is none to go on in: at 1 m/s^2 a robot is 0.5 m off by then
 _FASTER = 1.5  # of the largest motion seen, and no more, may be carried on: robots speed up
 
 # What wheels on hard floors err at most, about twice what they do: metres and radians at rest, and
@@ -74,9 +74,9 @@ class ExpectedMotion:
     """The motion of the base expected since the sweep before, `interval_s` seconds.
 
     `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on, in
-    a `hole` of the log as far as in the time as long before it. `during` is the motion to de-skew
-    with. `jumped` tells of an odometry increment too large to be a motion, `shortened` of a motion
-    before that was too large to be carried on as it was.
+    a short `hole` of the log as far as in as long a time before it. `during` is the motion to
+    de-skew with. `jumped` tells of an odometry increment too large to be a motion, `shortened` of a
+    motion before that was too large to be carried on as it was.
     """
 
     motion: Pose2
@@ -145,13 +145,13 @@ class MotionModel:
         )
 
     def _is_hole(self, seconds: float) -> bool:
-        """Whether sweeps are missing between this one and the one before."""
+        """Whether sweeps are missing, so few that the robot will have kept its motion."""
         known = sorted(interval_s for interval_s, _ in self._latest)
-        return len(known) == _LATEST and seconds > _HOLE * known[-2]
+        return len(known) == _LATEST and _HOLE * known[-2] < seconds <= _CARRIED_S
 
     def _carried_for(self, seconds: float) -> Pose2:
-        """The motion in as long a time before, no longer than a robot keeps its motion."""
-        motion, left_s = IDENTITY, min(seconds, _CARRIED_S)
+        """The motion in as long a time before."""
+        motion, left_s = IDENTITY, seconds
         for interval_s, step in reversed(self._latest):
             motion, left_s = step @ motion, left_s - interval_s
             if left_s < 0.5 * interval_s:

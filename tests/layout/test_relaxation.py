@@ -147,7 +147,7 @@ def test_a_wrong_closure_leaves_the_others_alone_in_any_frame(drive: Drive) -> N
     moved = laid_out(compose(motion, tracked), scans, [*right, wrong])
     assert moved.dropped == (wrong,)
     assert ends_of(moved.kept) == ends_of(with_wrong.kept)
-    assert np.abs(moved.poses - compose(motion, with_wrong.poses))[:, :2].max() < 0.01
+    assert np.abs(moved.poses - compose(motion, with_wrong.poses))[:, :2].max() < 5e-3
 
 
 def test_the_layout_holds_what_it_was_made_of(store: KeyframeStore) -> None:

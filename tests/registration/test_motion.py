@@ -98,7 +98,7 @@ def test_errors_that_alternate_are_not_de_skewed_with() -> None:
     ("intervals_s", "gap_s", "carried_m"),
     [
         ([0.1] * 30, 0.5, 1.0),
-        ([0.1] * 30, 60.0, 2.0),  # a robot that is not seen does not go on for ever
+        ([0.1] * 30, 1.1, 0.2),  # a robot that is not seen does not go on for ever
         ([0.3] + [0.1] * 29, 0.24, 0.4),  # one hole is no burst
         ([0.1] * 30, 0.2, 0.2),
         ([0.02, 0.02, 0.26] * 10, 0.5, 0.2),  # stamps in bursts
