@@ -148,10 +148,10 @@ def _divided(
     del small, opened
     give_memory_back()
     clearance = clearance_of(space)
-    packed = []  # step 2: nothing is kept of the graphs
-    for number in range(1, config.placements):
-        labels = _placement(clearance, space, cell_m, config, block, number)[0]
-        packed.append(Packed.of(labels))
+    packed = [  # step 2: nothing is kept of the graphs
+        Packed.of(_placement(clearance, space, cell_m, config, block, number)[0])
+        for number in range(1, config.placements)
+    ]
     first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
     give_memory_back()
     others = [one.array for one in packed]

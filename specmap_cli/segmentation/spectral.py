@@ -137,13 +137,14 @@ def _within(S: Any, nodes: IndexArray) -> Any:
     number = np.full(S.shape[0], -1, dtype=np.int32)
     number[nodes] = np.arange(len(nodes), dtype=np.int32)
     rows = S[nodes]
-    columns = number[rows.indices]
+    weights, columns, ends = rows.data, number[rows.indices], rows.indptr
+    del rows  # its columns are memory that is needed
     stays = columns >= 0
-    if stays.all():  # a piece, apart from all others
-        return sparse.csr_array((rows.data, columns, rows.indptr), (len(nodes), len(nodes)))
-    ends = np.cumsum(stays, dtype=np.int32)
-    ends = np.append(np.int32(0), ends)[rows.indptr]
-    return sparse.csr_array((rows.data[stays], columns[stays], ends), (len(nodes), len(nodes)))
+    if not stays.all():  # else it is a piece, apart from all others
+        ends = np.append(np.int32(0), np.cumsum(stays, dtype=np.int32))[ends]
+        weights = weights[stays]
+        columns = columns[stays]
+    return sparse.csr_array((weights, columns, ends), (len(nodes), len(nodes)))
 
 
 def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
