@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -22,16 +21,19 @@ from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
 from benchmarks.real.closure_truth import true_poses
-from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.drawing.overview import render_labels
-from specmap_cli.evaluation.protocols import ClassificationScores, RevisitResult, revisit
+from specmap_cli.evaluation.protocols import (
+    ClassificationScores,
+    RevisitResult,
+    localizer_over,
+    revisit,
+)
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.recognition.features.sets import scans_features
-from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.recognition.localization.walls import MapWalls, along_way, placed
+from specmap_cli.recognition.localization.localizer import Label
 
 _HEAD = ("tour", "choices", "labels", "submaps", "recall", "precision", "right")
 
@@ -116,7 +118,7 @@ def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
     """Label the scans of another way by the map of the first, and score them by true poses."""
     finished = built.finished
     reference = read_tum(again.ready().truth)
-    localizer = _localizer(built)
+    localizer = localizer_over(built.finished, built.store, built.config)
     labels = [localizer.add(scan).label for scan in workshop.recording(again).scans]
     given = true_poses(case.truth, built.store, of_laser=False)
     known = np.isfinite(given[:, 0])
@@ -137,16 +139,6 @@ def _classifiers_alone(
     scans = (scan.planar for scan in workshop.recording(again).scans)
     test = Samples(scans_features(scans, config.feature_set), asked.result.truth)
     return scored(fitted(train, config), test)
-
-
-def _localizer(built: Built) -> Localizer:
-    finished, settings = built.finished, built.config.localization
-    divided, classifiers = finished.laid.regions, finished.classifiers
-    numbers = along_way(finished.laid.labels.poses)
-    own = partial(placed, built.store, numbers.tolist(), finished.laid.labels.poses[numbers])
-    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
-    adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    return Localizer(classifiers, adjacency, walls, settings)
 
 
 def _picture(case: Case, preset: str, built: Built, asked: Asked) -> Picture:

@@ -234,7 +234,6 @@ def render_labels(
     places: FloatArray,
     submaps: IntArray,
     title: str,
-    figures: str = "",
     *,
     fills: Mapping[int, palette.Colour] | None = None,
     map_with_regions: tuple[TopologicalMap, Regions] | None = None,
@@ -278,7 +277,7 @@ def render_labels(
                 if (np.linalg.norm(badges - place, axis=1) > _CLEAR_OF_BADGES).all():
                     symbols.ground_id(sheet.canvas, place, id_)
                 symbols.name_under(sheet.canvas, place, legible(submap.given_name))
-    sheet.title(title, figures)
+    sheet.title(title, "")
     return sheet.canvas.image
 
 
@@ -313,16 +312,13 @@ def _draw_predicted(
     return np.array([middle for _, middle in taken]).reshape(-1, 2)
 
 
-def render_confusion(
-    matrix: NDArray[Any], names: Sequence[str], predicted_names: Sequence[str] | None = None
-) -> Image:
+def render_confusion(matrix: NDArray[Any], names: Sequence[str], columns: Sequence[str]) -> Image:
     """Counts `matrix` (k, m), a row per true submap, a column per prediction; BGR (H, W, 3).
 
     Each cell shows its share of the row in percent: blue where right, red where wrong. `names` are
-    those of the rows, `predicted_names` of the columns where they differ (such as "unknown" added).
+    those of the rows, `columns` those of the columns, which may have more (such as "unknown").
     """
     counts = np.asarray(matrix, dtype=np.float64)
-    columns = list(names if predicted_names is None else predicted_names)
     if counts.shape != (len(names), len(columns)):
         raise ValueError(f"matrix {counts.shape} for {len(names)} rows, {len(columns)} columns")
     # the largest cells that fit, to the right of and below the names

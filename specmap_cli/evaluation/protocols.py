@@ -235,14 +235,10 @@ def labels_of(
     """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
     a gap.
     """
-    poses = poses_at(finished, held_out.stamps_ns)
-    classifiers = finished.classifiers
-    adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    divided, settings = finished.laid.regions, config.localization
-    numbers = along_way(finished.laid.labels.poses)
-    own = partial(placed, store, numbers.tolist(), finished.laid.labels.poses[numbers])
-    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
-    localizer = Localizer(classifiers, adjacency, walls, settings)
+    poses, localizer = (
+        poses_at(finished, held_out.stamps_ns),
+        localizer_over(finished, store, config),
+    )
     labels: list[Label] = []
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())
@@ -250,6 +246,16 @@ def labels_of(
         scan = replace(held_out.posed(k), map_from_base=place, restarted=gap)
         labels.append(localizer.add(scan).label)
     return labels
+
+
+def localizer_over(finished: FinishedMap, store: KeyframeStore, config: Config) -> Localizer:
+    """A localizer over a map just finished, whose scans are those of `store`."""
+    classifiers, divided = finished.classifiers, finished.laid.regions
+    numbers = along_way(finished.laid.labels.poses)
+    own = partial(placed, store, numbers.tolist(), finished.laid.labels.poses[numbers])
+    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, config.localization, own)
+    adjacency = neighbours(classifiers.ids, finished.topology.joined)
+    return Localizer(classifiers, adjacency, walls, config.localization)
 
 
 def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:

@@ -227,10 +227,11 @@ def border_widths(labels: LabelArray, clearance: LengthArray) -> dict[Pair, floa
     """Largest clearance on the common border of each two touching labels (smaller one first)."""
     touching = contacts(labels)
     width = np.minimum(clearance[tuple(touching.one.T)], clearance[tuple(touching.other.T)])
-    pairs, which = np.unique(touching.labels, axis=0, return_inverse=True)
+    one, other = touching.labels.T.astype(np.int64)
+    pairs, which = np.unique((one << 16) | other, return_inverse=True)  # labels have 16 bits
     widest = np.zeros(len(pairs))
-    np.maximum.at(widest, which.ravel(), width)
-    return {(a, b): w for (a, b), w in zip(pairs.tolist(), widest.tolist(), strict=True)}
+    np.maximum.at(widest, which, width)
+    return {(a >> 16, a & 0xFFFF): w for a, w in zip(pairs.tolist(), widest.tolist(), strict=True)}
 
 
 def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:

@@ -9,6 +9,7 @@ nobody entered lies open to the unknown. Corridors that go round are cut into th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -180,6 +181,10 @@ def _placement(
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
     nodes = sample_nodes(clearance, block, least, config.nodes, before)
+    if config.merge:  # where only what is this wide is in sight, all clusters are joined in the end
+        wide = (1.0 + 0.5 * config.merge_ratio) * sight
+        along_walls = least + 2.0 * math.hypot(block, block)  # no piece of free space has none
+        nodes = nodes[clearance[tuple(nodes.T)] <= max(wide, along_walls)]
     graph = visibility_graph(clearance, nodes, sight, least)
     spectrum = spectral_clusters(graph, config)
     clusters = spectrum.labels

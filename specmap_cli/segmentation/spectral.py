@@ -262,7 +262,10 @@ def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
 
     Nodes that see no other get 1, which is never used.
     """
-    nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
+    nodes, squared = len(graph.nodes), np.rint(graph.lengths**2)  # whole: of cells
+    small = squared.max(initial=0.0) < _NARROW
+    rising = np.argsort(squared.astype(np.uint16) if small else squared, kind="stable")
+    del squared
     owner, distance = graph.pairs[rising].ravel(), graph.lengths[rising]
     del rising
     count = np.bincount(owner, minlength=nodes)

@@ -156,6 +156,18 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again() -> None:
     assert segment(hall, DEFAULT.model_copy(update={"merge": False})).count >= 4
 
 
+def test_the_middle_of_an_open_hall_needs_no_nodes() -> None:
+    """All that is in sight there is so wide that its clusters are joined."""
+    room, door = (40.5, 0.3, 45.3, 15.3), (40.3, 6.0, 40.5, 6.9)
+    grid = plan(45.6, 30.6, (0.3, 0.3, 40.3, 30.3), room, door)
+    found = segment(grid, DEFAULT)
+    assert np.unique(found.labels[6:606, 6:806]).tolist() == [0]
+    assert np.unique(found.labels[6:306, 810:906]).tolist() == [1]
+    assert grid.clearance()[tuple(grid.cells_of(found.nodes).T)].max() <= 1.36 * DEFAULT.sight_m
+    few_nodes = DEFAULT.model_copy(update={"node_step_m": 10.0, "placements": 1})
+    assert segment(plan(20.6, 20.6, (0.3, 0.3, 20.3, 20.3)), few_nodes).count == 1  # some are left
+
+
 def drive(xs: np.ndarray) -> np.ndarray:
     """Through the door of `TWO_ROOMS`, which is at x = 5.4 m."""
     return np.column_stack([xs, np.full(len(xs), 1.95), np.zeros(len(xs))])

@@ -272,12 +272,10 @@ class Agreement:
 
 def agreement(area: PreparedGrid, points: FloatArray) -> Agreement:
     """What a grid says to points (N, 2) on walls, in its frame."""
-    cells = np.floor((points - area.grid.origin) / area.grid.resolution).astype(np.intp)
-    height, width = area.known.shape
-    inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)
-    columns, rows = cells[inside].T
+    cells = area.grid.cells_of(points)
+    rows, columns = cells[area.grid.inside(cells)].T
     known = area.known[rows, columns]
-    columns, rows = columns[known], rows[known]
+    rows, columns = rows[known], columns[known]
     if not len(rows):
         return Agreement(0.0, 0.0, 0.0, 0)
     inliers = int(np.count_nonzero(area.at_wall[rows, columns]))
