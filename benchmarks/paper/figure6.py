@@ -118,7 +118,7 @@ def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
     """Label the scans of another way by the map of the first, and score them by true poses."""
     finished = built.finished
     reference = read_tum(again.ready().truth)
-    localizer = localizer_over(built.finished, built.store, built.config)
+    localizer = localizer_over(finished, built.store, built.config)
     labels = [localizer.add(scan).label for scan in workshop.recording(again).scans]
     given = true_poses(case.truth, built.store, of_laser=False)
     known = np.isfinite(given[:, 0])

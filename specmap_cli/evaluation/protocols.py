@@ -235,10 +235,8 @@ def labels_of(
     """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
     a gap.
     """
-    poses, localizer = (
-        poses_at(finished, held_out.stamps_ns),
-        localizer_over(finished, store, config),
-    )
+    localizer = localizer_over(finished, store, config)
+    poses = poses_at(finished, held_out.stamps_ns)
     labels: list[Label] = []
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())
