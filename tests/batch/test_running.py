@@ -24,6 +24,7 @@ from specmap_cli.batch.records import Job, JobRecord, Limits, Plan, Step, Terms,
 from specmap_cli.batch.running import may_retry, run_job, worker_lost
 from specmap_cli.batch.sources import digest_of, inputs_of
 from specmap_cli.cli.making import known_options
+from specmap_cli.core.files import is_nobody_s
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from tests.batch import fake_specmap
@@ -284,8 +285,9 @@ def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(run: Bench) -
             assert run.files == expected
             shutil.rmtree(run.out)
     steps = [int(line.split()[0]) for line in run.note.read_text().splitlines()]
-    for _ in range(1000):  # one that a busy machine has not ended yet keeps its folder
-        if not any(map(_lives, steps)):
+    for _ in range(1000):  # one that a busy machine has not ended yet keeps its folders
+        left = [*run.out.glob("*"), *run.scratch.glob("*")]
+        if not any(map(_lives, steps)) and all(map(is_nobody_s, left)):
             break
         time.sleep(0.02)
     assert not any(map(_lives, steps))
