@@ -241,8 +241,8 @@ class CloudFlattener:
     there, and NaN where it never had one, outside its field of view. The number of bearings is
     `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
     them. A floor of unknown height (None) is taken to be where the lowest returns of the first
-    cloud are. The clouds of a `planar` laser have one height, whichever it is, and their scans keep
-    the times of the beams.
+    cloud are that has enough of them to tell; so are the bearings. The clouds of a `planar` laser
+    have one height, whichever it is, and their scans keep the times of the beams.
     """
 
     def __init__(
@@ -256,7 +256,7 @@ class CloudFlattener:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
-        self._planar, self._shift = planar, 0.0
+        self._planar, self._shift, self._settled = planar, 0.0, False
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
@@ -275,7 +275,7 @@ class CloudFlattener:
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
         turn = np.arctan2(dy, dx) / math.tau + 0.5  # [0, 1] from -pi to pi
-        if not len(self._bearings):
+        if not self._settled:
             self._choose_bearings(turn[distance > 0.0])
         beams = len(self._seen)
         bins = _bins(turn, beams, self._shift)
@@ -283,12 +283,12 @@ class CloudFlattener:
         inside = (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
         times = None
         if not self._planar:
+            floor_m = self._floor if floor_m is None else floor_m
             if floor_m is None:
-                if self._floor is None:
-                    heights = cloud[distance <= FLOOR_RADIUS_M, 2]
-                    some = len(heights) > 0
-                    self._floor = float(np.percentile(heights, _FLOOR_PERCENTILE)) if some else 0.0
-                floor_m = self._floor
+                heights = cloud[distance <= FLOOR_RADIUS_M, 2]
+                some = len(heights) > 0
+                floor_m = float(np.percentile(heights, _FLOOR_PERCENTILE)) if some else 0.0
+                self._floor = floor_m if len(heights) >= _FEWEST else None
             height = cloud[:, 2] - floor_m
             inside &= (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
         elif times_s is not None and len(bins):  # of all beams by those of the points
@@ -311,8 +311,9 @@ class CloudFlattener:
         """Settle on the bearings: those of the beams of a planar laser, none on a border of theirs.
 
         Where nothing came back for `_LONGEST_GAP` bearings, nothing was met: it counts for nothing.
+        A cloud that fills none of the choices settles nothing: it has the fewest bearings.
         """
-        finest = _CLOUD_BEAMS
+        finest, shift = _CLOUD_BEAMS, 0.0
         if self._planar:
             gaps = np.diff(np.unique(turn), prepend=-np.inf, append=np.inf)
             count = round(1.0 / float(np.median(gaps[gaps > _SAME_BEAM])))
@@ -322,16 +323,20 @@ class CloudFlattener:
             if self._planar:
                 angles = math.tau * (turn * beams - 0.5)
                 sines, cosines = float(np.sin(angles).sum()), float(np.cos(angles).sum())
-                self._shift = math.atan2(sines, cosines) / math.tau
-            steps = np.diff(np.unique(_bins(turn, beams, self._shift)))
+                shift = math.atan2(sines, cosines) / math.tau
+            steps = np.diff(np.unique(_bins(turn, beams, shift)))
             steps = steps[steps <= _LONGEST_GAP]
-            if len(steps) and len(steps) >= _CLOUD_FILLED_SHARE * steps.sum():
+            self._settled = len(steps) >= max(1.0, _CLOUD_FILLED_SHARE * steps.sum())
+            if self._settled:
                 break
-        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
+        if not self._settled and beams == len(self._seen):
+            return
+        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + shift) * (
             math.tau / beams
         ) - math.pi
         bearings.setflags(write=False)
         self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
+        self._shift = shift
 
 
 def _bins(turn: FloatArray, beams: int, shift: float) -> NDArray[np.intp]:
