@@ -94,14 +94,12 @@ class RoomTruth:
         return np.where(distance <= reach_m, nearest[rows, columns], 0).astype(np.int32)
 
 
-def read_rooms(
-    path: str | Path, resolution: float, origin: tuple[float, float] = (0.0, 0.0)
-) -> RoomTruth:
+def read_rooms(path: str | Path, resolution: float) -> RoomTruth:
     """The rooms of a ground-truth picture: its white (> 250) connected regions of >= 100 pixels.
 
-    `resolution` is metres a pixel, `origin` the lower left corner of the picture in the plan's
-    frame. Rooms are numbered in the order of the picture's rows, from its top. Raises MapError when
-    the picture cannot be read or shows no room.
+    `resolution` is metres a pixel; the lower left corner of the picture is the origin. Rooms are
+    numbered in the order of the picture's rows, from its top. Raises MapError when the picture
+    cannot be read or shows no room.
     """
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
@@ -115,4 +113,4 @@ def read_rooms(
     if not kept.any():
         raise MapError(f"no white region of {_ROOM_MIN_PIXELS} pixels; is it a plan?", where=path)
     number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
-    return RoomTruth(np.ascontiguousarray(number[regions][::-1]), resolution, origin)
+    return RoomTruth(np.ascontiguousarray(number[regions][::-1]), resolution)

@@ -48,7 +48,11 @@ def test_it_is_read_checked_and_exported(earlier: Path, tmp_path: Path, run: Run
     checked = run("check", earlier)
     assert checked.code in (0, 5)  # the first maps have no verdict, which is a broken rule
     assert "Traceback" not in checked.err
-    assert run("export", earlier, "--format", "geojson", "-o", tmp_path / "m.geojson").code == 0
+    exported = run("export", earlier, "--format", "geojson", "-o", tmp_path / "m.geojson")
+    assert exported.code == 0
+    assert ("a map of an earlier version (schema 1)" in exported.err) == (
+        "(schema 1)" in stored.note
+    )
     assert run("report", earlier, "-o", tmp_path / "m.html").code == 0
 
 

@@ -177,16 +177,6 @@ def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path
     assert found == {"schema_version": 1, "format": "graphml", "warnings": [], **paths, **counts}
 
 
-def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> None:
-    old = Path(__file__).parents[1] / "maps" / "topology_1.json"
-    (house / "topology.json").write_bytes(old.read_bytes())
-    target = house.parent / "house.graphml"
-    said = run("export", house, "--format", "graphml", "-o", target)
-    assert len(nx.read_graphml(target)) == 3
-    (line,) = said.err.splitlines()
-    assert line.startswith(f"specmap: {house}: a map of an earlier version (schema 1)")
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

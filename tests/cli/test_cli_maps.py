@@ -87,10 +87,7 @@ DAMAGES: dict[str, Damage] = {
     "empty": lambda file: file.write_text(""),
     "cut": lambda file: file.write_text(file.read_text(encoding="utf-8")[:150]),
     "list": lambda file: file.write_text("[]"),
-    "null": lambda file: file.write_text("null"),
-    "nothing": lambda file: file.write_text("{}"),
     "binary": lambda file: file.write_bytes(b"\xff\x00\xfe"),
-    "deep": lambda file: file.write_text("[" * 100_000),
     "directory": replace_by_directory,
 }
 
@@ -122,29 +119,13 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "told", "change"),
     [
-        *(
-            ("classifiers.json", "build the map again", change)
-            for change in (
-                lambda data: first(data).update(kind="oracle"),
-                lambda data: data["raw"].update(classifiers={}),
-                lambda data: data.update(schema_version=99),
-            )
-        ),
+        ("classifiers.json", "build the map again", lambda data: first(data).update(kind="oracle")),
         ("topology.json", "build the map again", lambda data: data.update(nodes=[], edges=[])),
         ("topology.json", "is 99", lambda data: data["graph"].update(schema_version=99)),
-        (
-            "topology.json",
-            "nodes.0.id: must be a whole number: build",
-            lambda data: data["nodes"][0].update(id="x"),
-        ),
-        (
-            "run.json",
-            "grid.footprint_m: must be ",
-            lambda data: data["config"]["grid"].update(footprint_m=-1),
-        ),
+        ("run.json", "seed: must be ", lambda data: data["config"].update(seed=-1)),
         ("run.json", "config: ", lambda data: data.pop("config")),
     ],
-    ids=range(8),
+    ids=range(5),
 )
 def test_a_map_edited_into_nonsense(
     name: str, told: str, change: Change, own_map: Path, tiny_log: Path, run: Run

@@ -1,6 +1,6 @@
 """Output directories appear complete or not at all, whatever happens meanwhile.
 
-When a run is killed, at any moment, the old map or the new one is whole, and the next run well.
+Runs that are killed at any moment are tried in `tests/cli/test_cli_kills.py`.
 """
 
 from __future__ import annotations
@@ -8,11 +8,10 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import shutil
 import signal
 import sys
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -274,81 +273,10 @@ def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Pat
     assert event > 100
 
 
-CALLS = ("rename", "replace", "mkdir", "rmdir", "unlink", "open")
-
-
 def write_house(out: Path, result: MapResult, frame: str) -> None:
     """Write the small house to `out`, told apart by the name of its frame."""
     with OutputDirectory(out, overwrite=True) as partial:
         write_map(partial, replace(result, frame=frame))
-
-
-def killing(at: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A stub that counts the calls of all functions it stands for, and kills the process at one."""
-    counted = [0]
-
-    def around(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **named: Any) -> Any:
-            counted[0] += 1
-            if counted[0] == at:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return function(*arguments, **named)
-
-        return call
-
-    return around
-
-
-def died_at(at: int, out: Path, result: MapResult, calls: Sequence[str], *, at_once: bool) -> bool:
-    """Overwrite the map in a child that dies at one of its `calls`; False when it came to its end.
-
-    `at` is the number of the call.
-    """
-    pid = os.fork()
-    if pid == 0:
-        code = 1
-        try:
-            stub = killing(at)
-            for name in calls:
-                setattr(os, name, stub(getattr(os, name)))
-            if "open" in calls:
-                Path.open = stub(Path.open)  # type: ignore[method-assign]
-            if not at_once:
-                module.exchanged = lambda *_: False
-            write_house(out, result, "new")
-            code = 0
-        finally:
-            os._exit(code)
-    _, status = os.waitpid(pid, 0)
-    died = os.WIFSIGNALED(status)
-    assert died or os.waitstatus_to_exitcode(status) == 0
-    return died
-
-
-@pytest.mark.parametrize(
-    ("at_once", "calls", "least"),
-    [(True, CALLS, 20), (False, ("rename",), 3)],  # nothing else differs one by one
-    ids=["exchanged", "one by one"],
-)
-def test_a_run_killed_at_any_call_leaves_a_whole_map(
-    at_once: bool, calls: Sequence[str], least: int, tmp_path: Path, result: MapResult
-) -> None:
-    out, old = tmp_path / "maps" / "map", tmp_path / "old"
-    write_house(old, result, "old")
-    moments = 0
-    died = True
-    while died:
-        moments += 1
-        shutil.rmtree(out, ignore_errors=True)
-        shutil.copytree(old, out)
-        died = died_at(moments, out, result, calls, at_once=at_once)
-        if out.exists():  # not between the two renames
-            assert read_map(out).record.graph.frame in ("old", "new")
-            assert len(read_map(out).topology.submaps) == 3
-        write_house(out, result, "next")
-        assert read_map(out).record.graph.frame == "next"
-        assert os.listdir(out.parent) == ["map"], moments
-    assert moments > least
 
 
 def test_a_map_that_was_moved_away_comes_back(

@@ -193,9 +193,9 @@ def test_rooms_are_the_large_white_regions_of_a_picture(tmp_path: Path, kind: ty
     picture[40:49, 10:20] = 255  # 90 pixels: not a room
     picture[35:55, 30:45] = 250  # not white enough
     cv2.imwrite(str(tmp_path / "rooms.png"), picture)
-    rooms = read_rooms(kind(tmp_path / "rooms.png"), 0.1, (-1.0, 2.0))
+    rooms = read_rooms(kind(tmp_path / "rooms.png"), 0.1)
     assert rooms.count == 2
-    points = np.array([[1.0, 6.5], [6.0, 3.5], [0.5, 3.5], [2.5, 3.5]])
+    points = np.array([[2.0, 4.5], [7.0, 1.5], [1.5, 1.5], [3.5, 1.5]])
     assert rooms.at(points, reach_m=0.05).tolist() == [1, 2, 0, 0]
     coloured = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     coloured[35:55, 50:95] = (255, 0, 0)  # read by its brightness
