@@ -76,19 +76,12 @@ def test_what_a_division_looked_at_is_drawn(plan: Path, tmp_path: Path, run: Run
     assert run(*line, "--overwrite").code == 0
 
 
-def replace_by_directory(file: Path) -> None:
-    """A directory in the place of a file."""
-    file.unlink()
-    file.mkdir()
-
-
 DAMAGES: dict[str, Damage] = {
     "gone": lambda file: file.unlink(),
     "empty": lambda file: file.write_text(""),
     "cut": lambda file: file.write_text(file.read_text(encoding="utf-8")[:150]),
     "list": lambda file: file.write_text("[]"),
     "binary": lambda file: file.write_bytes(b"\xff\x00\xfe"),
-    "directory": replace_by_directory,
 }
 
 

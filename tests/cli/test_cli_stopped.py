@@ -151,12 +151,8 @@ class TestInThisProcess:
         assert (caught.value.name, caught.value.exit_code) == ("SIGINT", 130)
 
     def test_a_thread_runs_without_signals(self) -> None:
-        def work() -> bool:
-            with interruptible():
-                return True
-
         with ThreadPoolExecutor() as pool:
-            assert pool.submit(work).result()
+            assert pool.submit(interruptible()(dict)).result() == {}
 
 
 def raise_at(step: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -273,18 +273,13 @@ def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Pat
     assert event > 100
 
 
-def write_house(out: Path, result: MapResult, frame: str) -> None:
-    """Write the small house to `out`, told apart by the name of its frame."""
-    with OutputDirectory(out, overwrite=True) as partial:
-        write_map(partial, replace(result, frame=frame))
-
-
 def test_a_map_that_was_moved_away_comes_back(
     tmp_path: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Killed between two renames: there is no map in its place, and the next run says so."""
     out = tmp_path / "map"
-    write_house(out, result, "old")
+    with OutputDirectory(out) as partial:
+        write_map(partial, replace(result, frame="old"))
     os.rename(out, tmp_path / ".map.replaced-0123abcd")
     notes: list[str] = []
     monkeypatch.setattr(Silent, "note", lambda _, line: notes.append(line))

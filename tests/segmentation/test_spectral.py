@@ -470,13 +470,3 @@ def test_corridors_that_go_on_and_pillars_move_no_cut() -> None:
     ours = (plain >= 0) & (more >= 0)
     pairs = np.unique(found[ours] * 10 + expected[ours], return_counts=True)[1]
     assert np.sort(pairs)[-4:].sum() >= ours.sum() - 4 * 10  # cells of the cuts
-
-
-@pytest.mark.parametrize("turns", range(4))
-def test_a_ring_is_cut_alike_however_it_is_turned(turns: int) -> None:
-    labels = around(60, 10)[:, 5:]
-    labels[20:24, 20:70] = 0  # its hole is wider than high
-    found, turned = np.rot90(without_rings(labels), turns), np.rot90(labels, turns)
-    for one, other in ((found, turned), (found[::-1], turned[::-1])):
-        pairs = np.unique(one * 10 + without_rings(other), return_counts=True)[1]
-        assert np.sort(pairs)[-5:].sum() >= labels.size - 4 * 10  # cells of the cuts
