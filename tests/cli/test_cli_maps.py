@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +81,9 @@ DAMAGES: dict[str, Damage] = {
     "gone": lambda file: file.unlink(),
     "empty": lambda file: file.write_text(""),
     "cut": lambda file: file.write_text(file.read_text(encoding="utf-8")[:150]),
-    "list": lambda file: file.write_text("[]"),
     "binary": lambda file: file.write_bytes(b"\xff\x00\xfe"),
+    "directory": lambda file: file.rename(file.with_suffix(".old")).with_suffix(".json").mkdir(),
+    **{word[:4]: partial(Path.write_text, data=word) for word in ("[]", "null", "{}", "[" * 9**5)},
 }
 
 
@@ -103,22 +105,23 @@ def edited(path: Path, change: Change) -> None:
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
-def first(data: dict[str, Any]) -> dict[str, Any]:
-    """The raw classifier of submap 0."""
-    found: dict[str, Any] = data["raw"]["classifiers"]["0"]
-    return found
-
-
 @pytest.mark.parametrize(
     ("name", "told", "change"),
     [
-        ("classifiers.json", "build the map again", lambda data: first(data).update(kind="oracle")),
+        (
+            "classifiers.json",
+            "build the map again",
+            lambda data: data["raw"]["classifiers"]["0"].update(kind="oracle"),
+        ),
         ("topology.json", "build the map again", lambda data: data.update(nodes=[], edges=[])),
         ("topology.json", "is 99", lambda data: data["graph"].update(schema_version=99)),
-        ("run.json", "seed: must be ", lambda data: data["config"].update(seed=-1)),
+        (
+            "run.json",
+            "grid.footprint_m: must be ",
+            lambda data: data["config"]["grid"].update(footprint_m=-1),
+        ),
         ("run.json", "config: ", lambda data: data.pop("config")),
     ],
-    ids=range(5),
 )
 def test_a_map_edited_into_nonsense(
     name: str, told: str, change: Change, own_map: Path, tiny_log: Path, run: Run

@@ -224,8 +224,7 @@ def test_a_first_cloud_with_hardly_a_return_says_nothing_of_the_beams(first: int
         == first
     )
     assert np.isfinite(flat.flatten(cloud, 2).ranges).sum() == 400
-    assert np.isfinite(flat.flatten(cloud[:first], 3).ranges).sum() == first
-    assert len(flat.flatten(cloud[:first], 4).ranges) > 400, "settled once"
+    assert len(flat.flatten(cloud[:first], 3).ranges) > 400, "settled once"
 
 
 @pytest.mark.parametrize("beams", [45, 140, 360, 682, 1400])
