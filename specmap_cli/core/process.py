@@ -76,7 +76,7 @@ def processors() -> int:
     return 1 if os.environ.get("SPECMAP_PROCESSES") == "1" else len(os.sched_getaffinity(0))
 
 
-_M_MMAP_THRESHOLD = -3  # as <malloc.h> has it
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # as <malloc.h> has them
 _LARGE = 1 << 24  # bytes: of smaller arrays new pages would take more time than the holes are worth
 
 
@@ -84,13 +84,16 @@ def give_memory_back() -> None:
     """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
 
     Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones. From
-    the first call on the largest arrays leave none: each has pages of its own.
+    the first call on the largest arrays leave none: each has pages of its own. Between calls glibc
+    keeps twice as much free at its end, by its own rule, which a threshold that is set puts off:
+    with none kept, every array at the end costs new pages.
     """
     import ctypes  # slow to load, and no need of a command that only tells
 
     with suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name
         library = ctypes.CDLL(None)
         library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
+        library.mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE)
         library.malloc_trim(0)
 
 
