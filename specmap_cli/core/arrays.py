@@ -1,4 +1,4 @@
-"""Runs and neighbours of labels, even and gridded samples, and arrays kept in less memory."""
+"""Runs, windows and neighbours of labels, even and gridded samples, arrays in less memory."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 
 Neighbours = Mapping[int, frozenset[int]]
+Window = tuple[slice, slice]  # rows and columns
 
 
 def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
@@ -24,6 +25,32 @@ def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
         return []
     cuts = np.flatnonzero(values[1:] != values[:-1]) + 1
     return list(pairwise([0, *cuts.tolist(), len(values)]))
+
+
+def windows_of(labels: NDArray[np.integer[Any]]) -> dict[int, Window]:
+    """The rows and columns that hold each label of an image (H, W), by label; none for negatives.
+
+    What `scipy.ndimage.find_objects` does, which takes a quarter of a second to load.
+    """
+    new = np.ones(labels.shape, dtype=bool)  # where a stretch of one label begins in its row
+    np.not_equal(labels[:, 1:], labels[:, :-1], out=new[:, 1:])
+    row, start = np.nonzero(new)
+    owner = labels[row, start].astype(np.intp)
+    end = np.append(start[1:], 0)[: len(start)]
+    end[end == 0] = labels.shape[1]  # the next one begins the next row
+    mine = owner >= 0
+    owner, row, start, end = owner[mine], row[mine], start[mine], end[mine]
+    count = int(owner.max(initial=-1)) + 1
+    bounds = np.full((4, count), -1)
+    bounds[:2] = max(labels.shape)
+    for low, high, first, past in ((0, 2, row, row + 1), (1, 3, start, end)):
+        np.minimum.at(bounds[low], owner, first)
+        np.maximum.at(bounds[high], owner, past)
+    return {
+        label: (slice(top, bottom), slice(left, right))
+        for label, (top, left, bottom, right) in enumerate(bounds.T.tolist())
+        if bottom > 0
+    }
 
 
 def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:

@@ -311,7 +311,8 @@ class CloudFlattener:
         """Settle on the bearings: those of the beams of a planar laser, none on a border of theirs.
 
         Where nothing came back for `_LONGEST_GAP` bearings, nothing was met: it counts for nothing.
-        A cloud that fills none of the choices settles nothing: it has the fewest bearings.
+        A cloud that fills none of the choices settles nothing: it has the fewest bearings. Nor does
+        one of fewer returns than `_FEWEST`.
         """
         finest, shift = _CLOUD_BEAMS, 0.0
         if self._planar:
@@ -326,8 +327,8 @@ class CloudFlattener:
                 shift = math.atan2(sines, cosines) / math.tau
             steps = np.diff(np.unique(_bins(turn, beams, shift)))
             steps = steps[steps <= _LONGEST_GAP]
-            self._settled = len(steps) >= max(1.0, _CLOUD_FILLED_SHARE * steps.sum())
-            if self._settled:
+            if len(steps) >= max(1.0, _CLOUD_FILLED_SHARE * steps.sum()):
+                self._settled = len(turn) >= _FEWEST
                 break
         if not self._settled and beams == len(self._seen):
             return

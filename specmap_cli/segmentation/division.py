@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
-from specmap_cli.core.arrays import Packed
+from specmap_cli.core.arrays import Packed, windows_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.process import give_memory_back
@@ -260,7 +259,7 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
             "check the resolution and the thresholds",
         )
     labels = np.full_like(found.labels, -1)
-    for label, window in enumerate(ndimage.find_objects(found.labels + 1)):
+    for label, window in windows_of(found.labels).items():
         mine = (found.labels[window] == label).astype(np.uint8)
         _, piece, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
         largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
@@ -338,7 +337,7 @@ def open_rings(labels: LabelArray) -> None:
     if not count:
         return
     labelled = labels >= 0
-    for label, window in enumerate(ndimage.find_objects(labels + 1)):
+    for label, window in windows_of(labels).items():
         region = np.pad(labels[window] == label, 1)
         beyond = (~region).view(np.uint8)
         holes, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import windows_of
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import (
@@ -360,7 +361,6 @@ def along_and_across(places: FloatArray, line: Line) -> tuple[FloatArray, FloatA
 
 
 Pair = tuple[int, int]
-Window = tuple[slice, slice]
 
 _JOINED_HALF_CELLS = 2  # border points this near are one border: a diagonal one has such gaps
 
@@ -408,14 +408,6 @@ class Space:
         """x and y in the map of a row and a column, which may have fractions."""
         x, y = self.grid.centres_of(np.asarray(cell)[None])[0].tolist()
         return x, y
-
-
-def windows_of(owner: OwnerArray) -> dict[int, Window]:
-    """The rows and columns that hold the cells of each submap, by id."""
-    from scipy import ndimage  # takes a fifth of a second to load, and `localize` never asks
-
-    found = enumerate(ndimage.find_objects(owner + 1))
-    return {submap: window for submap, window in found if window is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import Window, windows_of
 from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.gridmap import GridMap, slices_near
@@ -23,10 +24,8 @@ from specmap_cli.topology.regions import (
     Border,
     Pair,
     Space,
-    Window,
     along_and_across,
     borders_of,
-    windows_of,
 )
 from specmap_cli.topology.topological_map import Door, Line
 
