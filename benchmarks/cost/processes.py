@@ -21,7 +21,8 @@ class Cost(NamedTuple):
     """What a command took: wall and processor seconds, and megabytes at the peak.
 
     `memory_mb` is the resident memory of its largest process; `together_mb` the memory of all its
-    processes at once, pages they share counted once.
+    processes at once, pages they share counted once. Both are looked at every 50 ms: the system's
+    own account, `ru_maxrss`, also counts the peak of the program that measures.
     """
 
     wall_s: float
@@ -49,9 +50,10 @@ def measure(
             stderr=subprocess.STDOUT,
             start_new_session=limit_s < math.inf,
         )
-        ended, together = 0, 0.0
+        ended, largest, together = 0, 0.0, 0.0
         while not ended:
-            together = max(together, proportional_mb(process.pid))
+            largest = max(largest, *memory_mb(process.pid, "status", "VmHWM:"))
+            together = max(together, sum(memory_mb(process.pid, "smaps_rollup", "Pss:")))
             time.sleep(_SAMPLED_EVERY_S)
             if time.perf_counter() - start > limit_s:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -62,17 +64,17 @@ def measure(
     if status != 0 and limit_s == math.inf:
         last = told[-1] if told else "nothing"
         raise RuntimeError(f"{' '.join(command)} ended with status {status}: {last}")
-    return Cost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, together)
+    return Cost(seconds, usage.ru_utime + usage.ru_stime, largest, together)
 
 
-def proportional_mb(pid: int) -> float:
-    """Memory of a process and its children now, pages they share counted once."""
-    total = 0.0
+def memory_mb(pid: int, file: str, field: str) -> list[float]:
+    """What the system tells of a process and of each of its children now; [0.0] when one ends."""
+    found = [0.0]
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
         for process in (str(pid), *children):
-            lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii").splitlines()
-            total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+            lines = Path(f"/proc/{process}/{file}").read_text(encoding="ascii").splitlines()
+            found += [int(line.split()[1]) / 1024.0 for line in lines if line.startswith(field)]
     except (FileNotFoundError, ProcessLookupError):  # one has just ended
-        return 0.0
-    return total / 1024.0
+        return [0.0]
+    return found
