@@ -71,7 +71,8 @@ class PosedScan:
     `score` is in [0, 1]; `agrees` says whether the result agrees with odometry (or with the motion
     before); `lost` marks a scan that could not be registered and must not enter a map; `restarted`
     marks the first scan after a run of lost ones, joined to what came before by a guess only;
-    `bridge` is how far that guess may be off, metres and radians, None where nothing measured it.
+    `bridge` are the standard deviations of that guess, metres and radians, None where nothing
+    measured it.
     `planar` is de-skewed. Walls do not fix each motion in all directions: what was guessed on the
     way up to it may be off by `guessed_m`, x and y in the map, a standard deviation.
     `odom_from_base` is the odometry at its stamp, None where there is none.

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -363,12 +363,14 @@ class Weakest:
 
     As many points as `count` fix it in that direction, turned to it in full; noise is taken off. Of
     walls of n points all alike around it is n / 2, and 0 along a bare corridor. `open`: nothing but
-    noise fixes it.
+    noise fixes it. `fisher` (3, 3) is what the walls tell of a pose, a point's worth for each piece
+    of wall, as neighbours err alike, and nothing in a direction that is open.
     """
 
     heading: float
     count: float
     open: bool = True
+    fisher: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
     def precision_m(self, range_noise_m: float) -> float:
         """The standard deviation of the place in that direction, from the error of a reading."""
@@ -406,11 +408,24 @@ def weakest_direction(points: FloatArray, known: FloatArray | None = None) -> We
     noise = min(noise, _MOST_NOISE * float(counts.sum()))
     turns = places[:, 0] * normals[:, 1] - places[:, 1] * normals[:, 0]
     rows = np.column_stack([normals, turns])
-    fisher = np.einsum("na,n,nb->ab", rows, counts, rows)
+    heading, middle, half = _weakest(np.einsum("na,n,nb->ab", rows, counts, rows))
+    is_open = middle - half < _MOST_NOISE * 2.0 * middle
+    fisher = np.einsum("na,n,nb->ab", rows, counts / count[1:-1][good], rows)
+    along, most, less = _weakest(fisher)
+    way = np.array([math.cos(along), math.sin(along), 0.0])
+    if most - less < _MOST_NOISE * 2.0 * most:
+        fisher -= (most - less) * np.outer(way, way)
+    return Weakest(heading, max(0.0, middle - half - noise), is_open, fisher)
+
+
+def _weakest(fisher: FloatArray) -> tuple[float, float, float]:
+    """The direction in which a place is known least, whatever the heading.
+
+    Also what is known of a place in the mean of all directions, and how much less it is there.
+    """
     arm, moment = fisher[:2, 2], float(fisher[2, 2])
     place = fisher[:2, :2] - np.outer(arm, arm) / moment if moment > 0.0 else fisher[:2, :2]
     (xx, xy), (_, yy) = place.tolist()
     middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # across the strongest one
-    is_open = middle - half < _MOST_NOISE * 2.0 * middle
-    return Weakest(heading, max(0.0, middle - half - noise), is_open)
+    return heading, middle, half

@@ -63,7 +63,7 @@ class Exploration:
     def break_off(self, bridge: tuple[float, float] | None) -> list[Region]:
         """Tracking was lost and starts afresh with the next keyframe: a new submap begins.
 
-        `bridge` is how far odometry may be off meanwhile, metres and radians, if there was any.
+        `bridge` are the standard deviations of odometry meanwhile, metres and radians, if any.
         """
         self.breaks[len(self.session.store)] = None if bridge is None else Bridge(*bridge)
         return self.end_submap()

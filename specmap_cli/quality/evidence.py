@@ -186,8 +186,8 @@ def holes_of(
     """The holes of a log, in their order, and what is known of the motion over each.
 
     `rows` (n,) of the trajectory are the keyframes of the store. `breaks` are those at which
-    tracking started afresh. Where odometry says that the robot stood still meanwhile, they count as
-    holes, too: it may have been carried with its laser on.
+    tracking started afresh: where odometry measured the motion meanwhile they count as holes, too.
+    A robot that stood by its wheels may have been carried with its laser on.
     """
     found: list[Hole] = []
     for before, after, kind in sorted(_spans(trajectory, rows, breaks)):
@@ -227,8 +227,7 @@ def _spans(
         if 0 < keyframe < len(rows):
             after = int(rows[keyframe])
             before = _registered(trajectory, after - 1, -1)
-            measured = _measured(trajectory, before, after)
-            if measured is not None and is_still(measured):
+            if _measured(trajectory, before, after) is not None:
                 yield before, after, "lost"
     odometry = trajectory.odometry
     if odometry is None:

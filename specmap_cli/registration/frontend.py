@@ -23,6 +23,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
 from specmap_cli.registration.aligner import SensorKind, aligner_factory
 from specmap_cli.registration.guess import (
+    SIGMAS,
     UNKNOWN,
     ExpectedMotion,
     MotionGuess,
@@ -182,6 +183,7 @@ class FrontEnd:
             before=track.pose,
             expected=expected,
             by_motion=track.by_motion if expected.measured else track.carried_on,
+            since=(track.keyframe or track.by_motion).inverse() @ track.by_motion,
             reliance=track.reliance,
         )
         located = locate(scene, guess)
@@ -294,14 +296,14 @@ class Track:
 
     @property
     def bridge(self) -> tuple[float, float] | None:
-        """How far odometry may be off across a break, metres and radians; None without odometry.
+        """Standard deviations of odometry across a break, metres and radians; None without it.
 
         Odometry that led where the walls contradict it is taken to err by all it has ever erred.
         """
         if self.left is None or not self.measured:
             return None
         slack = self.reliance.slack(self.left.inverse() @ self.by_motion)
-        return slack.place_m, slack.turn_rad
+        return slack.place_m / SIGMAS, slack.turn_rad / SIGMAS
 
     def is_carried(self, config: RegistrationConfig) -> bool:
         """Whether odometry alone tells the place well enough to go on with it.

@@ -32,7 +32,7 @@ _LEAST_M, _LEAST_RAD = 0.05, 0.03
 _SHARE_OF_DISTANCE, _SHARE_OF_TURN, _TURN_PER_M = 0.2, 0.3, 0.03
 _REMEMBERED = 60  # latest deviations that count: some 20 m and more, so that a new floor shows
 _PRIOR = 12  # deviations that an unknown odometry is taken to have had: they wear off slowly
-_SIGMAS = 3.0  # of a deviation that still agrees
+SIGMAS = 3.0  # of a deviation that still agrees: a slack is so many
 _QUANTILE, _QUANTILE_SIGMAS = 0.8, 1.2816  # of |z| for a normal z: a fifth may be wrong
 _NARROWEST, _WIDEST = 0.5, 3.0  # slacks: registration itself errs by as much; a third is no measure
 _WORTHLESS = 1.5  # slacks from which on odometry is worth less than was supposed of it
@@ -194,11 +194,11 @@ class Reliance:
     limits: Slack = field(init=False)
 
     def __post_init__(self) -> None:
-        sizes, usual = [], _QUANTILE_SIGMAS / _SIGMAS  # 1 for an odometry of which nothing is known
+        sizes, usual = [], _QUANTILE_SIGMAS / SIGMAS  # 1 for an odometry of which nothing is known
         for deviations in (self.along, self.across, self.turn):
             known = sorted((*(usual,) * _PRIOR, *deviations))
             sigma = known[int(_QUANTILE * len(known))] / _QUANTILE_SIGMAS
-            sizes.append(min(_WIDEST, max(_NARROWEST, _SIGMAS * sigma)))
+            sizes.append(min(_WIDEST, max(_NARROWEST, SIGMAS * sigma)))
         object.__setattr__(self, "limits", Slack(*sizes))
 
     @property
@@ -287,14 +287,15 @@ def fixed_directions(scan: PlanarScan, base_from_laser: Pose2, motion: Pose2) ->
 class MotionGuess:
     """Where a sweep is expected: at `pose` (4, 4), after `before` (4, 4) and a motion.
 
-    `by_motion` is the place that the expected motions since the last keyframe lead to, or without
-    odometry the usual one. `reliance` is what odometry has been worth.
+    `by_motion` is the place that the expected motions since the last keyframe lead to, `since` what
+    they sum up to, or without odometry the usual one. `reliance` is what odometry has been worth.
     """
 
     pose: FloatArray
     before: FloatArray
     expected: ExpectedMotion
     by_motion: Pose2
+    since: Pose2 = IDENTITY
     reliance: Reliance = UNKNOWN
     planar: Pose2 = field(init=False)
 

@@ -40,6 +40,7 @@ _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a w
 # their result is in doubt.
 QUICK_KERNEL_VOXELS = (1.5, 0.25)
 _COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full convergence
+_NARROW_RAD = math.radians(170.0)  # lasers that see half a circle end a beam or two before it
 _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
 
 
@@ -202,6 +203,12 @@ class Scene:
     view: SweepView
     local: LocalMap
     config: RegistrationConfig
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether it is a planar scan of less than half a circle, as depth cameras make them."""
+        bearings = self.view.planar.bearings
+        return not self.local.sensor.in_space and bool(np.ptp(bearings) < _NARROW_RAD)
 
     def score(self, place: Pose2) -> float:
         """How well, in [0, 1], the sweep's walls lie on the map's when the base is at a place."""

@@ -20,7 +20,13 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.guess import BEYOND_DOUBT, MotionGuess, near_window, wide_search
+from specmap_cli.registration.guess import (
+    BEYOND_DOUBT,
+    SIGMAS,
+    MotionGuess,
+    near_window,
+    wide_search,
+)
 from specmap_cli.registration.local_map import Bounds, Fit, Scene, Support
 
 _KERNEL_VOXELS = (2.0, 1.0, 0.5, 0.25)  # widths of the robust kernel, in voxels, coarse to fine
@@ -43,7 +49,6 @@ _PER_SLACK = 0.05  # score that a place must have more for each slack away from 
 # Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
 _REFUTES = 0.25
 
-_SIGMAS = 3.0  # of a motion carried on that still agrees
 _READING_M = 0.05  # error of a reading that is matched: neighbours err alike
 _LEAST_SHARE = 0.02  # of a motion expected that is worth a look
 _SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
@@ -114,6 +119,8 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
     loose = np.zeros(2)
     if not measured:
         fit, loose = _carried_along(scene, guess, fit)
+    elif scene.is_narrow:
+        fit = _fused(scene, guess, fit)
     elif not doubted:
         fit = _slid(scene, guess, fit)
     located = _concluded(scene, guess, fit, searched=doubted, wide_searched=wide)
@@ -202,6 +209,24 @@ def _is_far(guess: MotionGuess, fit: Fit) -> bool:
     return away.distance >= _DOUBT_M or abs(away.theta) >= _DOUBT_RAD
 
 
+def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
+    """The pose that odometry and walls tell together, each weighed by how well it knows it.
+
+    What a camera sees at once seldom fixes a pose in all directions, and turning it sees other
+    walls: its errors add up along a wall and in turns, where wheels know more.
+    """
+    slack, away = guess.reliance.slack(guess.since), guess.by_motion.inverse() @ fit.planar
+    sigmas = np.array([slack.along_m, slack.across_m, slack.turn_rad]) / SIGMAS
+    sigmas[:2] = sigmas[:2].max()  # whatever way the robot went
+    odometry = np.diag(sigmas**-2)
+    walls = scene.weakest(fit.planar, known=True).fisher / _READING_M**2
+    moved = guess.by_motion @ Pose2(*np.linalg.solve(walls + odometry, walls @ away).tolist())
+    score = scene.score(moved)
+    if score < fit.score - _OBJECTS and scene.gain(fit.planar, moved) < -_OBJECTS:
+        return fit
+    return fit.moved_to(moved, score)
+
+
 def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     """The place nearest to odometry's, along the heading, that walls speak for as for `fit`."""
     here, by_motion = fit.planar, guess.by_motion
@@ -234,7 +259,7 @@ def _carried_along(scene: Scene, guess: MotionGuess, fit: Fit) -> tuple[Fit, Flo
     weakest = scene.weakest(fit.planar, known=not measured)
     share = float(weakest.open)
     if not (measured or scene.local.sensor.in_space):
-        spread_m = guess.carried_slack_m / _SIGMAS
+        spread_m = guess.carried_slack_m / SIGMAS
         share = 1.0 / (1.0 + (spread_m / weakest.precision_m(_READING_M)) ** 2)
     if share < _LEAST_SHARE:
         return fit, np.zeros(2)
