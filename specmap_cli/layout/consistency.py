@@ -36,7 +36,10 @@ CLAIM_SLACK_M = 0.5  # what any claim may mend
 _VOTES = 3  # independent claims that agree
 _PART_VOTES = 2  # closures that agree on where a piece after a break lies
 _APART_M = 5.0  # claims nearer than this along both passes count as one
-_ALONE_SIGMAS = 3.0  # of the path's error, place and heading, that a closure alone may mend
+# A closure alone may mend so many sigmas of the path's error, and this share of the way between its
+# ends where no others agree.
+_ALONE_SIGMAS, _ALONE_SHARE = 3.0, 0.15
+_ALONE_RAD = 1.0  # by which it may turn the path: at quarter turns rooms look alike
 _MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
 # Error of a claim that is right, where claims are compared: of its place, of its heading.
 _CLAIM_M, _CLAIM_RAD = 0.15, 0.03
@@ -82,7 +85,11 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     told_m, rows = np.where(winners, told_m, np.inf), np.arange(len(claims))
     best = told_m.argmin(axis=1)
     outvoted = (told_m[rows, best] < known_m) & ~agree[rows, best]
-    explained = sigmas <= _ALONE_SIGMAS
+    way_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
+    allowed_m = CLAIM_SLACK_M + np.maximum(_ALONE_SHARE * way_m, _ALONE_SIGMAS * known_m)
+    is_beside = np.isfinite(told_m[rows, best])
+    explained = np.where(is_beside, sigmas <= _ALONE_SIGMAS, away_m <= allowed_m)
+    explained &= np.abs(missed[:, 2]) <= _ALONE_RAD
     lost = older != newer  # nothing is known of the way
     explained[lost] = votes[lost] >= _PART_VOTES
     judged = []

@@ -50,9 +50,6 @@ _LEAST_M, _LEAST_RAD = 0.01, 0.003
 GUESS_M = 0.3  # error of a motion without a wall in sight, or over a break
 _GUESS_RAD = 0.2  # error of the turn of such a motion
 GUESS_INFORMATION = np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
-# Without a wall in sight only odometry goes on, which errs less in a turn than a guess does.
-_BLIND_RAD = 0.04
-_BLIND_INFORMATION = np.diag([GUESS_M**-2, GUESS_M**-2, _BLIND_RAD**-2])
 _RANGE_NOISE_M = 0.1  # error of a reading; more than the laser's: neighbours err alike
 
 _KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
@@ -209,7 +206,7 @@ def step_information(
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
     sigmas = np.column_stack([position, position, angle])
-    noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + _BLIND_INFORMATION)
+    noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + GUESS_INFORMATION)
     sizes = np.hypot(guessed_m[:, 0], guessed_m[:, 1])
     for start, end in runs(sizes > 0.0):
         if sizes[start]:

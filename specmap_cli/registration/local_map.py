@@ -206,7 +206,7 @@ class Scene:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether it is a planar scan of less than half a circle, as depth cameras make them."""
+        """Whether the sweep is planar and less than half a circle, as depth cameras make them."""
         bearings = self.view.planar.bearings
         return not self.local.sensor.in_space and bool(np.ptp(bearings) < _NARROW_RAD)
 

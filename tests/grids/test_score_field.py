@@ -378,14 +378,14 @@ def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, tu
     weakest = matching.weakest_direction(points)
     assert weakest.count < 0.01 * len(points)
     assert abs(math.sin(weakest.heading - turn)) < 0.05
+    along = weakest.fisher[:2, :2] @ (math.cos(turn), math.sin(turn))
+    assert np.abs(along).max() < 0.05 * np.trace(weakest.fisher[:2, :2])
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
 def test_an_end_in_sight_closes_it_and_a_square_fixes_all_directions_alike(noise_m: float) -> None:
-    ends = matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m))
-    assert ends.count > 5.0
-    points = box(5.0, 5.0, 10.0, noise_m)
-    square = matching.weakest_direction(points)
+    assert (ends := matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m))).count > 5.0
+    square = matching.weakest_direction(points := box(5.0, 5.0, 10.0, noise_m))
     assert square.count == pytest.approx(0.45 * len(points), rel=0.15)
     assert square.precision_m(0.05) == pytest.approx(0.05 / math.sqrt(square.count))
     assert ends.precision_m(0.05) > 1.8 * square.precision_m(0.05)
@@ -399,8 +399,7 @@ def test_walls_that_are_not_known_fix_nothing() -> None:
     known = (np.abs(points[:, 1]) > 1.2).astype(np.float64)
     known[np.abs(points[:, 0]) > 5.9] = 0.0
     assert matching.weakest_direction(points, known).count < 0.02 * len(points)
-    half = np.full(len(points), 0.5)
-    whole, less = (matching.weakest_direction(points, of) for of in (None, half))
+    whole, less = (matching.weakest_direction(points, np.full(len(points), of)) for of in (1, 0.5))
     assert less.count == pytest.approx(0.5 * whole.count)
     assert less.heading == pytest.approx(whole.heading)
 

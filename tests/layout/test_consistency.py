@@ -118,6 +118,8 @@ def test_one_alone_is_what_the_path_errs_by_and_two_are_not_several() -> None:
     some = [c for c, r in zip(closures, right, strict=True) if r]
     for few in (some[:1], some[:2]):
         assert {one.reason for one in judged(graph, few)} == {"drift"}
+    turning = closure(TRUTH, some[0].source, some[0].target, Pose2(0.0, 0.0, 1.5))
+    assert judged(graph, [turning])[0].reason == "impossible"
     with turned("layout.consistency", **ALONE, CLAIM_SLACK_M=0.0):
         assert not any(one.believed for one in judged(graph, some[:2]))
         assert sum(one.believed for one in judged(graph, some)) >= 7

@@ -29,7 +29,6 @@ from tests.casting import store_of
 from tests.layout.driving import between, chained
 from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
-from tests.turning import turned
 
 NOTHING = np.zeros((0, 2))
 
@@ -184,11 +183,3 @@ def test_longer_motions_err_more(short: float, more: float, turn: float, further
     assert (np.diag(far) >= np.diag(near) - 1e-12).all()
     assert np.allclose(near, near.T)
     assert (np.linalg.eigvalsh(near) > 0).all()
-
-
-def test_the_noise_of_a_motion_is_set() -> None:
-    sure = np.diag([1e12, 1e12, 1e12])
-    noise = {"_STEP_SHARE": 0.3, "_TURN_SHARE": 0.2, "GUESS_INFORMATION": sure}
-    with turned("layout.path_graph", **noise):
-        spread = spread_of(Pose2(2.0, 0.0, 0.5), NOTHING)
-    assert np.sqrt(np.diag(spread)) == pytest.approx([0.61, 0.61, 0.103], rel=1e-4)

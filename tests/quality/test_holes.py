@@ -114,11 +114,13 @@ def test_a_robot_carried_with_its_laser_on(elsewhere_m: float, count: int) -> No
         )
 
 
-@pytest.mark.parametrize("odometry", [True, False])
-def test_a_break_over_which_the_robot_drove_is_no_hole(odometry: bool) -> None:
+@pytest.mark.parametrize(("off_m", "count"), [(0.0, 0), (2.0, 1)])
+def test_a_break_is_doubted_where_odometry_tells_another_motion(off_m: float, count: int) -> None:
     scans, poses = drive([2.0, 2.1, 2.2, 2.4, 2.6, 2.8], 0.2 * np.arange(6.0))
-    assert found(scans, poses, poses if odometry else None, lost=(3, 4), breaks=(3,)) == ()
-    assert found(scans[:1], poses[:1]) == ()
+    wheels = poses + np.outer(np.arange(6) > 4, (0.0, off_m, 0.0))
+    (seen,) = found(scans, poses, wheels, lost=(3, 4), breaks=(3,))
+    assert (seen.kind, len(told(seen))) == ("lost", count)
+    assert found(scans, poses, lost=(3, 4), breaks=(3,)) == found(scans[:1], poses[:1]) == ()
 
 
 def hung(odometry_x: FloatArray) -> tuple[Hole, ...]:

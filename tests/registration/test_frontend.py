@@ -38,6 +38,7 @@ from tests.registration.drives import (
 )
 from tests.registration.street import STEP_M, drive, way
 from tests.strategies import few, poses
+from tests.turning import turned as constants
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -46,14 +47,20 @@ from tests.strategies import few, poses
     [(np.pi, 180, 10.0), (1.5 * np.pi, 720, 10.0), (2 * np.pi, 240, 10.0), (2 * np.pi, 360, 4.0)],
 )
 def test_all_lasers(world: GridMap, view: float, beams: int, reach: float, odometry: bool) -> None:
-    truth = path()
-    front_end, scans = run(sweeps(world, truth, view, beams, reach, odometry))
+    front_end, scans = run(sweeps(world, truth := path(), view, beams, reach, odometry))
     assert np.less(worst(scans, truth), (0.08, 0.03)).all()
     assert front_end.counts["registered"] == len(scans)
     assert front_end.counts["lost"] == front_end.counts["breaks"] == 0
     assert front_end.warnings == []
     assert not any(scan.restarted for scan in scans)
     assert min(scan.score for scan in scans) > 0.5
+
+
+def test_what_a_depth_camera_leaves_open_odometry_tells(world: GridMap) -> None:
+    items = sweeps(world, truth := path(), 1.0, 160, 4.0)
+    assert np.less(worst(run(items)[1], truth), (0.15, 0.04)).all()
+    with constants("registration.local_map", _NARROW_RAD=0.0):
+        assert np.greater(worst(run(items)[1], truth), (0.25, 0.1)).all()
 
 
 def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -> None:

@@ -330,8 +330,7 @@ def test_a_line_that_ran_into_the_one_before_is_told(path: Path, into: str, line
 
 @pytest.mark.parametrize("line", [odom("2.5"), flaser(2.5), robotlaser(2.5)])
 @pytest.mark.parametrize(
-    "into",
-    ["", "# a log of ", "PARAM robot_front", "FLAS0", "ROBOT1.", "ROBOTLASER?~"],
+    "into", ["", "# a log of ", "PARAM robot_front", "FLAS0", "ROBOT1.", "ROBOTLASER?~"]
 )
 def test_a_line_without_its_beginning_is_told(path: Path, into: str, line: str) -> None:
     """Some bytes were cut out before its end, in the line itself or across the one before."""
