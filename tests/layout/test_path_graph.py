@@ -159,13 +159,13 @@ def test_too_few_or_scattered_points_tell_nothing(points: FloatArray) -> None:
 def test_guesses_in_a_row_err_in_one_way_and_others_do_not(sizes: list[float]) -> None:
     """The errors of a stretch add up; a motion that walls fixed ends it."""
     row = [(size, 0.0) for size in sizes]
-    steps = [Pose2(0.3, 0, 0)] * (2 * len(row) + 1)
+    steps = [Pose2(0.3, 0, 0.5)] * (2 * len(row) + 1)
     fisher = np.repeat(1e15 * np.eye(3)[None], len(steps), axis=0)
     spread = np.linalg.inv(step_information(steps, fisher, np.array([*row, (0.0, 0.0), *row])))
     grown = spread[:, 0, 0] - 0.019**2
     for stretch in (grown[: len(row)], grown[-len(row) :]):
         assert stretch.sum() == pytest.approx(sum(sizes) ** 2)
-    assert grown[len(row)] == pytest.approx(0.0, abs=1e-6)
+    assert (grown[len(row)], spread[len(row), 2, 2]) == pytest.approx((0.0, 0.013**2), abs=1e-6)
 
 
 def test_what_was_guessed_counts_in_the_frame_in_which_a_motion_ends() -> None:
