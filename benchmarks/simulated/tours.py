@@ -3,7 +3,8 @@
 The sample office, two plans of Bormann et al. (ICRA 2016), and furnished random plans, each of
 these with another laser (180 to 360 degrees, 4 to 30 m) and drift, one without odometry. A room is
 whole in at most two submaps. A door driven through is found when it joins two submaps; invented is
-a link between rooms that no door joins.
+a link between rooms that no door joins. Then random plans driven with depth cameras, as planar
+scans of 58 to 110 degrees that reach 4 to 10 m, and odometry.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from benchmarks.data import RESOLUTION_M, SAMPLES, plan, rooms_of
 from benchmarks.making.buildings import BUILDINGS
+from benchmarks.making.drawing import Drawing
 from benchmarks.making.recordings import write
 from benchmarks.making.spoiling import without_odometry
 from benchmarks.scoreboard.bench import Bench, verdict_of
@@ -36,6 +38,7 @@ from specmap_cli.simulation.worlds import RoomTruth
 
 TOURS = ("Freiburg79_scan_furnitures", "lab_c_scan")
 RANDOM = (("office", 1001), ("ring", 1002), ("hall", 1003), ("flat", 1004))
+DEPTH = tuple((kind, number) for number in (3301, 3302) for kind in BUILDINGS)
 _RIGHT_M = 0.3
 _LAPS = SimulationOptions(beams=541, speed_mps=0.8, spacing_m=3.0, laps=2, seed=3)
 
@@ -59,6 +62,8 @@ ROWS = (
     ),
     Row("random_links", "four random plans: doors driven through that are links", 0.95),
     Row("random_verdicts", "four random plans: verdicts that are right", 1.0),
+    Row("depth_ate", "eight depth cameras: median ATE", 0.3, 0.15, "less", unit="m"),
+    Row("depth_silent", "eight depth cameras: maps .3 m off called good", 0, 0, "less", ".0f"),
 )
 
 
@@ -93,6 +98,12 @@ def measure(bench: Bench) -> Figures:
         random_off += [off_m] if tour.measured else []
         right += (off_m <= _RIGHT_M) == (verdict_of(tour.map_) == "good")
         print(line(tour, random_scores[-1], off_m), flush=True)
+    depth_off, silent = list[float](), 0
+    for tour in depth_tours(bench):
+        off_m, told = error(tour), verdict_of(tour.map_)
+        depth_off.append(off_m)
+        silent += off_m > _RIGHT_M and told == "good"
+        print(f"{tour.name:30} ATE {off_m:.3f} {told}", flush=True)
     return {
         "whole": float(np.mean([one.whole for one in scores])),
         "recognised": float(np.mean([one.recognised for one in scores])),
@@ -106,6 +117,8 @@ def measure(bench: Bench) -> Figures:
         "random_ate": max(random_off),
         "random_links": _links(random_scores),
         "random_verdicts": right / len(RANDOM),
+        "depth_ate": float(np.median(depth_off)),
+        "depth_silent": silent,
     }
 
 
@@ -130,13 +143,24 @@ def drawn(bench: Bench) -> Iterator[Tour]:
 def random_tours(bench: Bench) -> Iterator[Tour]:
     """Tours through random plans by robots drawn at random; every fourth has no odometry."""
     for kind, number in RANDOM:
-        drawing = random_plan(kind, number, furnished=True)
-        options, measured = robot(kind, number), bool(number % 4)
-        name = f"{kind}-{number}"
-        made = bench.simulated(name, partial(recorded, drawing.grid(), options, measured))
-        rooms = RoomTruth(drawing.labels + 1, RESOLUTION_M, drawing.grid().origin)
-        truth = bench.log(name).with_suffix(".tum")
-        yield Tour(name, made, truth, drawing.grid(), rooms, measured)
+        drawing, measured = random_plan(kind, number, furnished=True), bool(number % 4)
+        yield _toured(bench, f"{kind}-{number}", drawing, robot(kind, number), measured)
+
+
+def depth_tours(bench: Bench) -> Iterator[Tour]:
+    """Tours through random plans by robots with a depth camera."""
+    for kind, number in DEPTH:
+        drawing, options = random_plan(kind, number, furnished=True), depth_camera(kind, number)
+        yield _toured(bench, f"depth-{kind}-{number}", drawing, options, measured=True)
+
+
+def _toured(
+    bench: Bench, name: str, drawing: Drawing, options: SimulationOptions, measured: bool
+) -> Tour:
+    made = bench.simulated(name, partial(recorded, drawing.grid(), options, measured))
+    rooms = RoomTruth(drawing.labels + 1, RESOLUTION_M, drawing.grid().origin)
+    truth = bench.log(name).with_suffix(".tum")
+    return Tour(name, made, truth, drawing.grid(), rooms, measured)
 
 
 def robot(kind: str, number: int) -> SimulationOptions:
@@ -151,6 +175,24 @@ def robot(kind: str, number: int) -> SimulationOptions:
         rate_hz=5.0,
         speed_mps=0.8,
         spacing_m=3.0,
+        max_duration_s=400.0,
+        seed=number,
+    )
+
+
+def depth_camera(kind: str, number: int) -> SimulationOptions:
+    """The robot with a depth camera that drives through a random plan."""
+    rng = np.random.default_rng([number, 7, list(BUILDINGS).index(kind)])
+    return SimulationOptions(
+        field_of_view_deg=float(rng.choice((58.0, 70.0, 87.0, 110.0))),
+        beams=int(rng.choice((320, 640))),
+        range_max_m=float(rng.choice((4.0, 6.0, 8.0, 10.0))),
+        noise_m=float(rng.choice((0.02, 0.03))),
+        dropouts=0.05,
+        odometry_drift=float(rng.choice((1.0, 2.0, 3.0))),
+        rate_hz=float(rng.choice((5.0, 10.0))),
+        speed_mps=float(rng.choice((0.25, 0.5, 0.8))),
+        spacing_m=float(rng.choice((2.0, 3.0))),
         max_duration_s=400.0,
         seed=number,
     )
