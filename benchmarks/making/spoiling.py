@@ -218,6 +218,22 @@ def noisy_ranges(sigma_m: float, seed: int) -> Spoiling:
     return shake
 
 
+def narrowed(view_deg: float, reach_m: float) -> Spoiling:
+    """What a depth camera in the laser's place would see: ahead alone, and not as far."""
+
+    def narrow(sweeps: Sweeps) -> Iterator[Sweep]:
+        for sweep in sweeps:
+            scan = sweep.planar
+            seen = np.abs(scan.bearings) <= np.radians(view_deg) / 2
+            ranges = np.where(scan.ranges > reach_m, np.inf, scan.ranges)[seen]
+            times_s = None if scan.beam_times_s is None else scan.beam_times_s[seen]
+            scan = replace(scan, bearings=scan.bearings[seen], ranges=ranges, range_max=reach_m)
+            scan = replace(scan, full_circle=False, beam_times_s=times_s)
+            yield replace(sweep, planar=scan)
+
+    return narrow
+
+
 def crowded(share: float, seed: int = 9) -> Spoiling:
     """People all around: a share of the beams, in bunches, ends at them."""
 
