@@ -239,7 +239,8 @@ class FrontEnd:
                 motion = track.keyframe.inverse() @ track.by_motion
                 away = track.by_motion.inverse() @ fit.planar
                 fixed = fixed_directions(view.planar, view.base_from_laser, motion)
-                reliance = reliance.after(motion, away, fixed)
+                aligned = track.by_motion.inverse() @ (fit.aligned or fit.planar)
+                reliance = reliance.after(motion, away, aligned, fixed)
             track = replace(
                 track,
                 keyframe=fit.planar,

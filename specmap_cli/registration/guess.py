@@ -230,19 +230,22 @@ class Reliance:
         slack, (along, across) = self.slack(motion), _parts(motion, away)
         return math.hypot(along / slack.along_m, across / slack.across_m)
 
-    def after(self, motion: Pose2, away: Pose2, fixed: tuple[bool, bool]) -> Reliance:
+    def after(
+        self, motion: Pose2, away: Pose2, aligned: Pose2, fixed: tuple[bool, bool]
+    ) -> Reliance:
         """The reliance after a certain registration, so far `away` from the motion measured.
 
+        `aligned` is the same of walls alone. They err, too, and what odometry has pulled flatters
+        it: of errors o of odometry and w of walls, the one deviates by o + w, the other by the
+        share o^2 / (o^2 + w^2) of that. The geometric mean of both is o.
         `fixed` says whether walls fix the place along the way, and whether across it. A direction
         that they do not fix says nothing about odometry.
         """
-        unknown, (along, across) = _unknown(motion), _parts(motion, away)
         known = [self.along, self.across, self.turn]
-        turn = wrap_angle(away.theta) / unknown.turn_rad
-        latest = along / unknown.along_m, across / unknown.across_m, turn
-        for k, (deviation, counts) in enumerate(zip(latest, (*fixed, True), strict=True)):
+        both = zip(_in_slacks(motion, away), _in_slacks(motion, aligned), strict=True)
+        for k, (pair, counts) in enumerate(zip(both, (*fixed, True), strict=True)):
             if counts:
-                known[k] = (*known[k], abs(deviation))[-_REMEMBERED:]
+                known[k] = (*known[k], math.sqrt(abs(math.prod(pair))))[-_REMEMBERED:]
         return Reliance(*known)
 
 
@@ -259,6 +262,13 @@ def _parts(motion: Pose2, away: Pose2) -> tuple[float, float]:
     """A deviation, seen from the end of a motion, along and across the way."""
     x, y = direction_of(motion)
     return away.x * x + away.y * y, away.y * x - away.x * y
+
+
+def _in_slacks(motion: Pose2, away: Pose2) -> tuple[float, float, float]:
+    """A deviation along the way, across it and in turn, in slacks of an unknown odometry."""
+    unknown, (along, across) = _unknown(motion), _parts(motion, away)
+    turn = wrap_angle(away.theta) / unknown.turn_rad
+    return along / unknown.along_m, across / unknown.across_m, turn
 
 
 def _unknown(motion: Pose2) -> Slack:

@@ -136,12 +136,14 @@ class LocalMap:
 class Fit:
     """A pose (4, 4) of the base in the map, the same in the plane, and its score in [0, 1].
 
-    `refused` alignments on the way to it ran off and were not followed.
+    `refused` alignments on the way to it ran off and were not followed. `aligned` is where walls
+    alone put it, None where it is there.
     """
 
     pose: FloatArray
     score: float
     refused: int = 0
+    aligned: Pose2 | None = None
     planar: Pose2 = field(init=False)
 
     def __post_init__(self) -> None:

@@ -224,7 +224,7 @@ def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     score = scene.score(moved)
     if score < fit.score - _OBJECTS and scene.gain(fit.planar, moved) < -_OBJECTS:
         return fit
-    return fit.moved_to(moved, score)
+    return replace(fit.moved_to(moved, score), aligned=fit.planar)
 
 
 def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:

@@ -141,7 +141,7 @@ BOTH = (True, True)
 def learnt(motion: Pose2, away: Pose2, reliance: Reliance = UNKNOWN) -> Reliance:
     """The reliance after sixty registrations that were all as far from odometry."""
     for _ in range(60):
-        reliance = reliance.after(motion, away, BOTH)
+        reliance = reliance.after(motion, away, away, BOTH)
     return reliance
 
 
@@ -172,9 +172,19 @@ def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
 def test_a_fifth_of_wrong_registrations_does_not_spoil_the_measure() -> None:
     step, reliance = Pose2(0.5, 0.0, 0.0), UNKNOWN
     for k in range(60):
-        reliance = reliance.after(step, Pose2(0.9 if k % 7 == 0 else 0.01, 0.0, 0.0), BOTH)
+        away = Pose2(0.9 if k % 7 == 0 else 0.01, 0.0, 0.0)
+        reliance = reliance.after(step, away, away, BOTH)
     assert reliance.trusted
     assert not reliance.slacks(step, Pose2(0.2, 0.0, 0.0)) < 1.0
+
+
+def test_a_pose_that_odometry_pulled_does_not_flatter_it() -> None:
+    """Walls that err twice as much: a fifth of the deviation stays, and odometry's own is found."""
+    step, reliance = Pose2(0.5, 0.0, 0.0), UNKNOWN
+    for away_m in np.random.default_rng(1).normal(0.0, math.hypot(0.05, 0.1), 60).tolist():
+        away, aligned = Pose2(0.2 * away_m, 0.0, 0.0), Pose2(away_m, 0.0, 0.0)
+        reliance = reliance.after(step, away, aligned, BOTH)
+    assert reliance.limits.along_m == pytest.approx(1.0, rel=0.25)  # it would be 0.5, or 2.2
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-2.0, 2.0), st.floats(0.1, 3.0))
@@ -184,7 +194,7 @@ def test_along_and_across_are_of_the_way_driven(heading: float, turn: float, way
     seen_from_end = motion.inverse() @ Pose2(2 * motion.x, 2 * motion.y, turn)
     assert np.allclose(np.array(direction_of(motion)) * way_m, seen_from_end[:2], atol=1e-9)
     longer = Pose2(0.1 * seen_from_end.x / way_m, 0.1 * seen_from_end.y / way_m, 0.0)
-    reliance = UNKNOWN.after(motion, longer, BOTH)
+    reliance = UNKNOWN.after(motion, longer, longer, BOTH)
     assert reliance.along[0] == pytest.approx(0.1 / (0.05 + 0.2 * way_m))
     assert reliance.across[0] == pytest.approx(0.0, abs=1e-9)
 
