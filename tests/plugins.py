@@ -15,10 +15,7 @@ import pytest
 def install(
     folder: Path, monkeypatch: pytest.MonkeyPatch, group: str, entries: dict[str, str], code: str
 ) -> None:
-    """A package `stranger` in `folder` that offers `entries` (name -> attribute) under `group`.
-
-    It is gone when the test ends.
-    """
+    """A package `stranger` in `folder`, for a test: `entries` (name -> attribute) under `group`."""
     module = f"stranger_{len(sys.modules)}"
     (folder / f"{module}.py").write_text(dedent(code), encoding="utf-8")
     facts = folder / f"{module}-1.0.dist-info"

@@ -310,10 +310,7 @@ def test_only_a_check_counts_losses_even_of_whole_topics(path: Path, driven: lis
 
 
 def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = range(0)) -> None:
-    """Scans at these times, odometry with them; a robot that drives a step each time.
-
-    Those numbered in `hangs` are the same.
-    """
+    """Scans, and odometry with them, at these times; those numbered in `hangs` repeat."""
     with LogWriter(path) as log:
         for n, time_s in enumerate(times_s):
             stamp = START + round(time_s * SECOND)
