@@ -126,7 +126,7 @@ UNLESS = "unless it was renamed, "
 def test_files_that_are_named_and_missing_are_told(
     tmp_path: Path, few: list[Message], there: str, counts: str, said: dict[str, str]
 ) -> None:
-    """A renamed file has as many messages as the metadata says, an old or an empty one none."""
+    """A renamed file has the messages that the metadata counts; without a count, or empty, none."""
     bag = tmp_path / "bag"
     bag.mkdir()
     (bag / "c").touch()

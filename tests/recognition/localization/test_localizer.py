@@ -307,7 +307,7 @@ def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
 def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
     seed: int, beams: int, wanted: int, first: float, full: bool
 ) -> None:
-    """Whatever bearings it counts from: what is invalid, or beyond the known reach, stays so."""
+    """Wherever bearings begin; beyond the known reach is no return, and what is invalid stays."""
     rng = np.random.default_rng(seed)
     ranges = rng.uniform(0.5, 25.0, beams)
     ranges[rng.random(beams) < 0.2] = rng.choice([np.nan, np.inf])
