@@ -262,6 +262,19 @@ def late_odometry(scans: int) -> Spoiling:
     return delay
 
 
+def hung_odometry(every: int, scans: int) -> Spoiling:
+    """Of `every` so many scans some have the odometry of the first of them; then it is right."""
+
+    def hang(sweeps: Sweeps) -> Iterator[Sweep]:
+        held: Pose2 | None = None
+        for number, sweep in enumerate(sweeps):
+            if number % every > scans or not number % every:
+                held = sweep.odom_from_base
+            yield replace(sweep, odom_from_base=held)
+
+    return hang
+
+
 def foreign_odometry(turn: float) -> Spoiling:
     """Odometry of another drive: every turn is told as its opposite, ways too long."""
 

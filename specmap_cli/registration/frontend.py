@@ -136,7 +136,7 @@ class FrontEnd:
                 range_m=config.max_range_m if planar else config.cloud_range_m,
             )
             self._map = LocalMap(self._make_aligner(config, sensor), sensor, config)
-        local, by_motion = self._map, self._track.by_motion @ expected.motion
+        local, by_motion = self._map, self._track.by_motion @ expected.increment
         measured = self._track.measured and expected.measured
         self._track = track = replace(self._track, by_motion=by_motion, measured=measured)
         self.counts["odometry_jumps"] += expected.jumped

@@ -80,6 +80,7 @@ class ExpectedMotion:
     """
 
     motion: Pose2
+    increment: Pose2
     carried: Pose2
     during: Pose2
     interval_s: float
@@ -102,6 +103,7 @@ class MotionModel:
         self._stamp_ns: int | None = None
         self._interval_s = 0.0
         self._latest = deque([(0.0, IDENTITY)] * 2, maxlen=_LATEST)  # seconds and motions
+        self._silent, self._unread = False, IDENTITY  # the motion while odometry tells of none
         # forward, sideways and in turn the two largest confirmed motions: one may be an error
         self._largest = [(0.0, 0.0)] * 3
 
@@ -112,8 +114,10 @@ class MotionModel:
         interval_s = max(0.0, gap_ns * _S_PER_NS)
         increment = None if before is None or now is None else before.inverse() @ now
         self._odometry, self._stamp_ns, self._interval_s = now, sweep.stamp_ns, interval_s
+        self._silent = increment is not None and before == now
+        left = self._left_of(increment) if increment is not None else None
         farthest_m = config.odometry_jump_m + config.odometry_jump_mps * interval_s
-        jumped = increment is not None and not increment.distance <= farthest_m  # or it is NaN
+        jumped = left is not None and not left.distance <= farthest_m  # or it is NaN
         # the settings limit what may be carried on until walls have confirmed larger motions
         settings = config.carried_forward_m, config.carried_sideways_m, config.carried_rad
         both = zip(settings, self._largest, strict=True)
@@ -128,13 +132,16 @@ class MotionModel:
             Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
             for motion in (b, steady)
         )
-        hole = self._is_hole(interval_s)
+        # sweeps are missing, so few that the robot will have kept its motion
+        known = sorted(interval_s for interval_s, _ in self._latest)
+        hole = len(known) == _LATEST and _HOLE * known[-2] < interval_s <= _CARRIED_S
         if hole:
             carried = self._carried_for(interval_s)
-        measured = increment is not None and not jumped
+        measured = left is not None and not jumped
         timed = sweep.planar.beam_times_s is not None or sweep.cloud_times_s is not None
         return ExpectedMotion(
-            motion=increment if increment is not None and measured else carried,
+            motion=left if left is not None and measured else carried,
+            increment=increment if increment is not None and measured else carried,
             carried=carried,
             during=during,
             interval_s=interval_s,
@@ -144,10 +151,19 @@ class MotionModel:
             hole=hole,
         )
 
-    def _is_hole(self, seconds: float) -> bool:
-        """Whether sweeps are missing, so few that the robot will have kept its motion."""
-        known = sorted(interval_s for interval_s, _ in self._latest)
-        return len(known) == _LATEST and _HOLE * known[-2] < seconds <= _CARRIED_S
+    def _left_of(self, increment: Pose2) -> Pose2:
+        """What is left of odometry's increment where it hung and now makes up for it.
+
+        Walls told the rest meanwhile. Wheels that stood while the robot was pushed make up for
+        nothing: steady motion tells which.
+        """
+        unread, (_, steady) = self._unread, self._latest[-1]
+        if self._silent or (unread.distance < _SMALL_M and abs(unread.theta) < _SMALL_RAD):
+            return increment
+        left = unread.inverse() @ increment
+        apart = [steady.inverse() @ motion for motion in (left, increment)]
+        hung, pushed = (motion.distance + abs(motion.theta) for motion in apart)
+        return left if hung < pushed else increment
 
     def _carried_for(self, seconds: float) -> Pose2:
         """The motion in as long a time before."""
@@ -161,6 +177,7 @@ class MotionModel:
     def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:
         """Remember the motion since the sweep before; walls may have `confirmed` it."""
         self._latest.append((self._interval_s, motion))
+        self._unread = self._unread @ motion if self._silent else IDENTITY
         if confirmed:
             sizes = zip(self._largest, motion, strict=True)
             ranked = [sorted((*pair, abs(value)), reverse=True) for pair, value in sizes]
@@ -222,13 +239,13 @@ class Reliance:
 
     def slacks(self, motion: Pose2, away: Pose2) -> float:
         """How many slacks a result so far `away` from odometry's place is off, place or turn."""
-        turn = abs(away.theta) / self.slack(motion).turn_rad
+        turn = abs(_in_slacks(motion, away)[2]) / self.limits.turn_rad
         return max(self.place_slacks(motion, away), turn)
 
     def place_slacks(self, motion: Pose2, away: Pose2) -> float:
         """How many slacks it is off in its place alone."""
-        slack, (along, across) = self.slack(motion), _parts(motion, away)
-        return math.hypot(along / slack.along_m, across / slack.across_m)
+        along, across, _ = _in_slacks(motion, away)
+        return math.hypot(along / self.limits.along_m, across / self.limits.across_m)
 
     def after(
         self, motion: Pose2, away: Pose2, aligned: Pose2, fixed: tuple[bool, bool]
@@ -258,15 +275,13 @@ def direction_of(motion: Pose2) -> tuple[float, float]:
     return c * x + s * y, c * y - s * x
 
 
-def _parts(motion: Pose2, away: Pose2) -> tuple[float, float]:
-    """A deviation, seen from the end of a motion, along and across the way."""
-    x, y = direction_of(motion)
-    return away.x * x + away.y * y, away.y * x - away.x * y
-
-
 def _in_slacks(motion: Pose2, away: Pose2) -> tuple[float, float, float]:
-    """A deviation along the way, across it and in turn, in slacks of an unknown odometry."""
-    unknown, (along, across) = _unknown(motion), _parts(motion, away)
+    """A deviation, seen from the end of a motion, in slacks of an unknown odometry.
+
+    Along the way, across it, and in turn.
+    """
+    unknown, (x, y) = _unknown(motion), direction_of(motion)
+    along, across = away.x * x + away.y * y, away.y * x - away.x * y
     turn = wrap_angle(away.theta) / unknown.turn_rad
     return along / unknown.along_m, across / unknown.across_m, turn
 

@@ -125,6 +125,7 @@ def expecting(
     """A motion that odometry measured, or one that is carried on, with nothing unusual."""
     return ExpectedMotion(
         motion=motion,
+        increment=motion,
         carried=carried,
         during=IDENTITY,
         interval_s=0.1,

@@ -376,11 +376,8 @@ def test_keyframes_lie_where_scans_lie(world: GridMap, monkeypatch: pytest.Monke
 
 def test_keyframes_come_by_way_or_by_turn(world: GridMap, monkeypatch: pytest.MonkeyPatch) -> None:
     turns = np.column_stack([np.full(10, 2.0), np.full(10, 2.4), 0.1 * np.arange(10)])
-    for truth, expected in (
-        (straight(0.08, 12), 3),  # after 4 and 8 steps
-        (straight(0.02, 12), 1),
-        (turns, 4),
-    ):
+    cases = ((straight(0.08, 12), 3), (straight(0.02, 12), 1), (turns, 4))  # after 4 and 8 steps
+    for truth, expected in cases:
         aligner = ToldAligner()
         exact = [
             dataclasses.replace(sweep, odom_from_base=Pose2(*pose))
