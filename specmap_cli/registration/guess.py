@@ -154,11 +154,11 @@ class MotionModel:
     def _left_of(self, increment: Pose2) -> Pose2:
         """What is left of odometry's increment where it hung and now makes up for it.
 
-        Walls told the rest meanwhile. Wheels that stood while the robot was pushed make up for
-        nothing: steady motion tells which.
+        Walls told the rest meanwhile, more than odometry errs by. Wheels that stood while the robot
+        was pushed make up for nothing: steady motion tells which.
         """
         unread, (_, steady) = self._unread, self._latest[-1]
-        if self._silent or (unread.distance < _SMALL_M and abs(unread.theta) < _SMALL_RAD):
+        if self._silent or UNKNOWN.slacks(increment, unread) < 1.0:
             return increment
         left = unread.inverse() @ increment
         apart = [steady.inverse() @ motion for motion in (left, increment)]
