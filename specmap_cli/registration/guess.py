@@ -73,10 +73,11 @@ _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 class ExpectedMotion:
     """The motion of the base expected since the sweep before, `interval_s` seconds.
 
-    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on, in
-    a short `hole` of the log as far as in as long a time before it. `during` is the motion to
-    de-skew with. `jumped` tells of an odometry increment too large to be a motion, `shortened` of a
-    motion before that was too large to be carried on as it was.
+    `motion` is odometry's `increment` where that was `measured`, less what walls told while it
+    hung; else both are `carried`: the motion before carried on, in a short `hole` of the log as far
+    as in as long a time before it. `during` is the motion to de-skew with. `jumped` tells of an
+    odometry increment too large to be a motion, `shortened` of a motion before that was too large
+    to be carried on as it was.
     """
 
     motion: Pose2
@@ -103,7 +104,7 @@ class MotionModel:
         self._stamp_ns: int | None = None
         self._interval_s = 0.0
         self._latest = deque([(0.0, IDENTITY)] * 2, maxlen=_LATEST)  # seconds and motions
-        self._silent, self._unread = False, IDENTITY  # the motion while odometry tells of none
+        self._silent, self._unread = False, IDENTITY  # motion that odometry has not told yet
         # forward, sideways and in turn the two largest confirmed motions: one may be an error
         self._largest = [(0.0, 0.0)] * 3
 
