@@ -68,9 +68,10 @@ class Located:
     """The best pose found, and which searches the doubts about it called for.
 
     `agrees`: it agrees with the motion expected. `support` is what the walls say of it that could
-    be seen there. `unaligned`: it is the guess itself, as the walls do not lead to a better pose.
-    `loose` (2,) points, in the map, where walls fix the place least. As long as it is, of 1, the
-    motion expected counts there, and not the walls.
+    be seen there; `told`, the score that counts against that motion: theirs where they are most of
+    a sweep's, else that of all, as of a narrow view with odometry. `unaligned`: it is the guess
+    itself, as the walls do not lead to a better pose. `loose` (2,) points, in the map, where walls
+    fix the place least. As long as it is, of 1, the motion expected counts, and not the walls.
     """
 
     fit: Fit
@@ -78,6 +79,7 @@ class Located:
     wide_searched: bool
     agrees: bool
     support: Support
+    told: float
     unaligned: bool = False
     loose: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -140,6 +142,8 @@ def _concluded(
         support = Support(score=fit.score, share=1.0, count=len(scene.view.probe))
     else:
         support = scene.support(fit.planar)
+    few = support.share < MOST or (scene.is_narrow and guess.expected.measured)
+    told = fit.score if few else support.score
     agrees, unaligned = guess.agrees(fit), False
     spoken_for = support.share >= MOST and support.score >= SURE_SCORE
     if guess.expected.measured and spoken_for and not agrees:
@@ -150,10 +154,10 @@ def _concluded(
             own = Fit(pose=guess.pose, score=scene.score(guess.planar))
         there = scene.support(own.planar)
         explained = there.share >= ENOUGH and there.score >= SURE_SCORE
-        refuted = fit.score >= SURE_SCORE and not explained
+        refuted = told >= SURE_SCORE and not explained
         refuted = refuted and scene.gain(own.planar, fit.planar) >= _REFUTES
         if not (refuted or _speaks_against(there, scene.config)):
-            fit, support = replace(own, refused=fit.refused), there
+            fit, support, told = replace(own, refused=fit.refused), there, own.score
             agrees = unaligned = True
     return Located(
         fit=fit,
@@ -161,6 +165,7 @@ def _concluded(
         wide_searched=wide_searched,
         agrees=agrees,
         support=support,
+        told=told,
         unaligned=unaligned,
     )
 
@@ -180,7 +185,8 @@ def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit
         around = Bounds.around(place, scene.config)
         found = scene.search(place, window, _KERNEL_VOXELS, around)
         support = scene.support(found.planar)
-        if support.share >= MOST and support.score >= BEYOND_DOUBT:
+        refuted = support.score >= SURE_SCORE and found.score >= fit.score + _REFUTES
+        if support.share >= MOST and (refuted or support.score >= BEYOND_DOUBT):
             fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
     return fit
 
@@ -322,8 +328,7 @@ def judge(located: Located, guess: MotionGuess, config: RegistrationConfig) -> J
         needed = POOR_SCORE
         if located.searched:
             needed = SURE_SCORE if measured or located.wide_searched else FAIR_SCORE
-        score = fit.score if measured or support.share < MOST else support.score
-        lost = score < needed
+        lost = located.told < needed
     certain = not lost and not located.unaligned and support.share >= MOST
     return Judgement(
         fit=replace(fit, pose=guess.pose) if lost else fit,

@@ -13,7 +13,7 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, Reliance, best_guess
 from specmap_cli.registration.local_map import Fit, Scene
-from specmap_cli.registration.trust import FAIR_SCORE, GOOD_SCORE, Located
+from specmap_cli.registration.trust import FAIR_SCORE, GOOD_SCORE, POOR_SCORE, Located, judge
 from specmap_cli.registration.trust import locate as located_by
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import expecting, guess_of, scene_in, scene_of, turned
@@ -324,6 +324,24 @@ def test_new_space_is_no_evidence_against_the_place_that_odometry_tells() -> Non
     assert located.agrees
     assert located.support.score > 0.95
     assert located.support.share < 0.9
+
+
+@pytest.mark.parametrize(
+    ("turn", "measured", "rooms", "lost"),
+    [(0.3, True, 1, False), (0.6, True, 1, False), (0.6, False, 1, False), (0.6, True, 2, True)],
+)
+def test_new_space_does_not_weaken_what_most_walls_prove(
+    turn: float, measured: bool, rooms: int, lost: bool
+) -> None:
+    """A turn was missed on the way into new rooms, whose walls are half of those seen, or more."""
+    new = [new_room(6.0 * (k + 1)) for k in range(rooms)]
+    seen = Pose2(0.0, 0.0, -turn).apply(np.concatenate([box(0.0), *new]))
+    scene = scene_of(seen, box(0.0), ToldAligner(), looked_m=4.0)
+    expected = expecting(Pose2(0.5, 0.0, 0.0), measured=measured)
+    located = locate(scene, IDENTITY, expected, IDENTITY)
+    assert located.fit.score < POOR_SCORE + 0.05
+    assert not located.agrees
+    assert judge(located, guess_of(IDENTITY, expected), scene.config).lost == lost
 
 
 def test_where_nothing_could_be_seen_trusted_odometry_stands() -> None:
