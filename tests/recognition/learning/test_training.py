@@ -29,19 +29,6 @@ from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import Familiarity
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.sampling import (
-    NO_SAMPLES,
-    NO_TRAINING_DATA,
-    Samples,
-    Track,
-    TrainingData,
-    augmented_samples,
-    cast_samples,
-    of_keyframes,
-    raw_samples,
-    together,
-    track_samples,
-)
 from specmap_cli.recognition.learning.training import _EXEMPLARS, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.casting import store_of
@@ -67,8 +54,8 @@ def store(building: Any) -> Iterator[KeyframeStore]:
         yield made
 
 
-def track(store: KeyframeStore, submaps: Any = SUBMAPS, starts: tuple[int, ...] = ()) -> Track:
-    return Track(store, store.poses, submaps, starts)
+def track(store: KeyframeStore, submaps: Any = SUBMAPS, starts: Any = ()) -> sampling.Track:
+    return sampling.Track(store, store.poses, submaps, starts)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +75,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked = watched(monkeypatch, KeyframeFeatures, "of")
-    raw_samples(track(store), config, features)
+    sampling.raw_samples(track(store), config, features)
     (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
@@ -105,7 +92,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
     }
-    beside = augmented_samples(track(store), config, np.random.default_rng(0))
+    beside = sampling.augmented_samples(track(store), config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
     both = {i: np.vstack([X, beside[i].features]) for i, X in samples.items()}
     classifiers = OneVsAll("table1", config.recognition).fit(both, np.random.default_rng(0))
@@ -113,7 +100,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
-    shared = raw_samples(track(store), config, known)
+    shared = sampling.raw_samples(track(store), config, known)
     rng = np.random.default_rng(0)
     again, _ = train_and_test(shared, beside, store.poses, config, rng, virtual=False)
     assert again.to_dict() == learned.to_dict()
@@ -134,8 +121,8 @@ def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) 
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     features = KeyframeFeatures(store, config.recognition.feature_set)
-    samples = raw_samples(track(store), config, features)
-    beside = augmented_samples(track(store), config, np.random.default_rng(0))
+    samples = sampling.raw_samples(track(store), config, features)
+    beside = sampling.augmented_samples(track(store), config, np.random.default_rng(0))
     rng = np.random.default_rng(0)
     return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]
 
@@ -144,8 +131,8 @@ def samples_of(
     store: KeyframeStore, grids: dict[int, GridMap], seed: int = 0, **localization: Any
 ) -> dict[int, FloatArray]:
     config = settings(**localization).localization
-    along = track_samples(track(store), config)
-    cast = cast_samples(track(store), grids, config, np.random.default_rng(seed))
+    along = sampling.track_samples(track(store), config)
+    cast = sampling.cast_samples(track(store), grids, config, np.random.default_rng(seed))
     return {i: np.vstack([along[i].features, cast[i].features]) for i in SUBMAPS}
 
 
@@ -260,13 +247,13 @@ def beside(
     store: KeyframeStore,
     wanted: int,
     seed: int = 0,
-    known: Samples = NO_SAMPLES,
+    known: sampling.Samples = sampling.NO_SAMPLES,
     submaps: dict[int, list[int]] = BESIDE,
-) -> dict[int, Samples]:
+) -> dict[int, sampling.Samples]:
     """Scans as taken beside the way, by which each submap has as many samples as are wanted."""
     config = Config(recognition=RecognitionConfig(feature_set="table1", augmentation=wanted))
     rng = np.random.default_rng(seed)
-    return augmented_samples(track(store, submaps), config, rng, known)
+    return sampling.augmented_samples(track(store, submaps), config, rng, known)
 
 
 def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeStore) -> None:
@@ -309,7 +296,7 @@ def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> N
 
 def test_known_scans_are_made_once(store: KeyframeStore, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = watched(monkeypatch, sampling, "seen_from")
-    known = together(beside(store, 90).values())
+    known = sampling.together(beside(store, 90).values())
     made, again = len(seen), beside(store, 40, seed=1, known=known)
     assert len(seen) == made > 40
     assert [len(again[i].keyframes) for i in (1, 4)] == [10, 34]
@@ -321,31 +308,32 @@ STARTS = (62,)
 VIRTUAL = settings(augmentation=24).localization
 
 
-def numbered(*keyframes: int) -> Samples:
+def numbered(*keyframes: int) -> sampling.Samples:
     """Samples whose only feature is a hundred and the keyframe."""
     numbers = np.array(keyframes, dtype=np.intp)
-    return Samples(100.0 + numbers[:, None].astype(np.float64), numbers)
+    return sampling.Samples(100.0 + numbers[:, None].astype(np.float64), numbers)
 
 
-def kept(lessons: TrainingData) -> list[list[int]]:
+def kept(lessons: sampling.TrainingData) -> list[list[int]]:
     """The keyframes of all four kinds of samples."""
     kinds = lessons.raw, lessons.beside, lessons.along, lessons.cast
     return [samples.keyframes.tolist() for samples in kinds]
 
 
 def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
-    lessons = TrainingData(numbered(0, 3, 7), numbered(0, 7), numbered(3), numbered(0, 7, 7))
+    seen, cast = numbered(0, 3, 7), numbered(0, 7, 7)
+    lessons = sampling.TrainingData(seen, numbered(0, 7), numbered(3), cast)
     left = lessons.left(np.array([1, 3, 7]))
     assert kept(left) == [[1, 2], [2], [1], [2, 2]]
     assert left.raw.features.ravel().tolist() == [103.0, 107.0]
-    assert kept(NO_TRAINING_DATA.left(np.array([0]))) == [[]] * 4
+    assert kept(sampling.NO_TRAINING_DATA.left(np.array([0]))) == [[]] * 4
     near = lessons.cast_near(np.arange(8) == 7)  # of cast samples those near some keyframes stay
     assert kept(near) == [[0, 3, 7], [0, 7], [3], [7, 7]]
 
 
 def test_lessons_of_several_maps_are_one() -> None:
-    one = TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
-    both = TrainingData.joined([one, NO_TRAINING_DATA, one.numbered_from(10)])
+    one = sampling.TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
+    both = sampling.TrainingData.joined([one, sampling.NO_TRAINING_DATA, one.numbered_from(10)])
     assert kept(both) == [[0, 1, 10, 11], [0, 10], [1, 11], []]
     assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
 
@@ -354,21 +342,21 @@ def test_each_recording_gives_its_share_of_raw_scans_known_ones_first(store: Key
     config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
     nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(44, 62)
     known = nothing.knowing(numbers, np.ones((18, 52)))
-    found = raw_samples(track(store, {2: SUBMAPS[2]}, STARTS), config, known)[2]
+    found = sampling.raw_samples(track(store, {2: SUBMAPS[2]}, STARTS), config, known)[2]
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 5
     assert (found.features[old] == 1.0).all()
     assert not (found.features[~old] == 1.0).all(axis=1).any()
     known = nothing.knowing(numbers, np.ones((18, 52)))
-    alone = raw_samples(track(store, {2: SUBMAPS[2]}), config, known)[2]
+    alone = sampling.raw_samples(track(store, {2: SUBMAPS[2]}), config, known)[2]
     assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
 
 
 def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: KeyframeStore) -> None:
-    anew = track_samples(track(store, SUBMAPS, STARTS), VIRTUAL)
-    before = Samples(np.ones((25, 52)), np.arange(10, 35))
-    again = track_samples(track(store, SUBMAPS, STARTS), VIRTUAL, before)
-    found, fresh = together(again.values()), together(anew.values())
+    anew = sampling.track_samples(track(store, SUBMAPS, STARTS), VIRTUAL)
+    before = sampling.Samples(np.ones((25, 52)), np.arange(10, 35))
+    again = sampling.track_samples(track(store, SUBMAPS, STARTS), VIRTUAL, before)
+    found, fresh = sampling.together(again.values()), sampling.together(anew.values())
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 23  # of thirty, as 58 of 76 keyframes are in the first recording
     assert set(found.keyframes[old].tolist()) <= set(range(10, 35))
@@ -377,15 +365,15 @@ def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: Keyfra
 
 
 def test_known_casts_are_not_cast_again(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
-    known, rng = Samples(np.ones((40, 52)), np.full(40, 50)), np.random.default_rng(0)
-    found = cast_samples(track(store), grids, VIRTUAL, rng, known)
+    known, rng = sampling.Samples(np.ones((40, 52)), np.full(40, 50)), np.random.default_rng(0)
+    found = sampling.cast_samples(track(store), grids, VIRTUAL, rng, known)
     assert (found[2].features == 1.0).all()
     assert 0 < len(found[2].features) < 24
     assert not (found[0].features == 1.0).all(axis=1).any()
 
 
 def test_samples_are_put_together_by_submap() -> None:
-    both, *others = TrainingData.of({4: numbered(1), 2: numbered(0, 5)}, {}, {}, {}).kinds
+    both, *others = sampling.TrainingData.of({4: numbered(1), 2: numbered(0, 5)}, {}, {}, {}).kinds
     assert both.keyframes.tolist() == [0, 5, 1]
-    assert of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
+    assert sampling.of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
     assert [len(samples.keyframes) for samples in others] == [0, 0, 0]
