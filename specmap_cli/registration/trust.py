@@ -67,9 +67,8 @@ _HOPELESS = 0.15  # below it no agreement helps: points thrown at random score a
 class Located:
     """The best pose found, and which searches the doubts about it called for.
 
-    `agrees`: it agrees with the motion expected. `support` is what the walls say of it that could
-    be seen there; `told`, the score that counts against that motion: theirs where they are most of
-    a sweep's, else that of all, as of a narrow view with odometry. `unaligned`: it is the guess
+    `agrees`: it agrees with the motion expected. `overrules`: the walls that could be seen leave no
+    doubt that trusted odometry errs. `support` is what they say of it. `unaligned`: it is the guess
     itself, as the walls do not lead to a better pose. `loose` (2,) points, in the map, where walls
     fix the place least. As long as it is, of 1, the motion expected counts, and not the walls.
     """
@@ -79,7 +78,7 @@ class Located:
     wide_searched: bool
     agrees: bool
     support: Support
-    told: float
+    overrules: bool = False
     unaligned: bool = False
     loose: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -142,9 +141,7 @@ def _concluded(
         support = Support(score=fit.score, share=1.0, count=len(scene.view.probe))
     else:
         support = scene.support(fit.planar)
-    few = support.share < MOST or (scene.is_narrow and guess.expected.measured)
-    told = fit.score if few else support.score
-    agrees, unaligned = guess.agrees(fit), False
+    agrees, overrules, unaligned = guess.agrees(fit), False, False
     spoken_for = support.share >= MOST and support.score >= SURE_SCORE
     if guess.expected.measured and spoken_for and not agrees:
         agrees = guess.agrees(fit, _ROUGHLY if guess.trusted else _NEARLY)
@@ -154,10 +151,11 @@ def _concluded(
             own = Fit(pose=guess.pose, score=scene.score(guess.planar))
         there = scene.support(own.planar)
         explained = there.share >= ENOUGH and there.score >= SURE_SCORE
-        refuted = told >= SURE_SCORE and not explained
-        refuted = refuted and scene.gain(own.planar, fit.planar) >= _REFUTES
-        if not (refuted or _speaks_against(there, scene.config)):
-            fit, support, told = replace(own, refused=fit.refused), there, own.score
+        sure = fit.score >= SURE_SCORE or (spoken_for and not scene.is_narrow)
+        gain = scene.gain(own.planar, fit.planar)
+        overrules = sure and not explained and gain >= _REFUTES
+        if not (overrules or _speaks_against(there, scene.config)):
+            fit, support = replace(own, refused=fit.refused), there
             agrees = unaligned = True
     return Located(
         fit=fit,
@@ -165,7 +163,7 @@ def _concluded(
         wide_searched=wide_searched,
         agrees=agrees,
         support=support,
-        told=told,
+        overrules=overrules,
         unaligned=unaligned,
     )
 
@@ -328,7 +326,8 @@ def judge(located: Located, guess: MotionGuess, config: RegistrationConfig) -> J
         needed = POOR_SCORE
         if located.searched:
             needed = SURE_SCORE if measured or located.wide_searched else FAIR_SCORE
-        lost = located.told < needed
+        score = fit.score if measured or support.share < MOST else support.score
+        lost = score < needed and not located.overrules
     certain = not lost and not located.unaligned and support.share >= MOST
     return Judgement(
         fit=replace(fit, pose=guess.pose) if lost else fit,

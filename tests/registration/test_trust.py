@@ -36,7 +36,7 @@ def judged(
     located = Located(
         fit=Fit(pose=(GUESS @ away).matrix(), score=score, refused=2),
         support=support or Support(score=score, share=1.0, count=100),
-        **{"searched": False, "wide_searched": False, "agrees": True, "told": score, **found},
+        **{"searched": False, "wide_searched": False, "agrees": True, **found},
     )
     return judge(located, guess_of(GUESS, expecting(measured=measured)), RegistrationConfig())
 
@@ -71,6 +71,14 @@ def test_agreement_may_score_worse_than_contradiction(least: float, found: dict[
 def test_only_walls_that_could_be_seen_speak_against_odometry(support: Support, lost: bool) -> None:
     assert judged(0.05, support).lost == lost
     assert judged(0.05, support, measured=False).lost  # a motion carried on is no witness
+
+
+@pytest.mark.parametrize(
+    ("share", "measured", "lost"), [(0.6, False, False), (0.6, True, True), (0.4, False, True)]
+)
+def test_without_odometry_new_space_may_be_seen(share: float, measured: bool, lost: bool) -> None:
+    support = Support(score=0.65, share=share, count=round(100 * share))
+    assert judged(0.4, support, agrees=False, searched=True, measured=measured).lost == lost
 
 
 def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
