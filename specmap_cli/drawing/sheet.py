@@ -141,13 +141,16 @@ class Sheet:
         self._blend(cover, max(1.0, _WALL_STRENGTH / scale), colour)
 
     def _blend(self, cover: NDArray[Any], strength: float, colour: Colour) -> None:
-        """Colour the map's rows by `cover` (H, W) times `strength`, in strips to save memory."""
+        """Colour the map's rows by `cover` (H, W) times `strength`, in strips to save memory.
+
+        Lines cover little: only what they touch is computed.
+        """
         ink, end = np.array(colour, dtype=np.float32), TITLE + self.map_height
         for first in range(TITLE, end, _STRIP):
             rows = slice(first, min(first + _STRIP, end))
-            share = np.minimum(cover[rows, :, None] * strength, 1.0)
-            painted = self.canvas.image[rows]
-            painted[...] = np.round(painted * (1.0 - share) + ink * share)
+            painted, touched = self.canvas.image[rows], cover[rows] != 0
+            share = np.minimum(cover[rows][touched][:, None] * strength, 1.0)
+            painted[touched] = np.round(painted[touched] * (1.0 - share) + ink * share)
 
     def _to_scale(
         self,

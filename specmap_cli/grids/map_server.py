@@ -50,7 +50,8 @@ _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
 # runs of one value are all that a map has to pack: quicker and smaller than zlib's default
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6]
 _PNG_OPTIONS += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_PNG_GREY_OPTIONS = [*_PNG_OPTIONS, 19, 32]  # filter "up" alone: OpenCV 4.10 passes over it
+# one filter for all rows, 19: "up", and "paeth" for colours; OpenCV 4.10 tries all for each row
+_PNG_GREY_OPTIONS, _PNG_COLOUR_OPTIONS = [*_PNG_OPTIONS, 19, 32], [*_PNG_OPTIONS, 19, 128]
 
 _PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
 _PIXELS_PER_MPIXEL = 1_000_000
@@ -71,7 +72,7 @@ def write_png(path: str | Path, image: NDArray[Any]) -> None:
 
 def png_bytes(image: NDArray[Any]) -> bytes:
     """The PNG of an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3)."""
-    options = _PNG_GREY_OPTIONS if image.ndim == 2 else _PNG_OPTIONS
+    options = _PNG_GREY_OPTIONS if image.ndim == 2 else _PNG_COLOUR_OPTIONS
     _, encoded = cv2.imencode(".png", image, options)
     return encoded.tobytes()
 

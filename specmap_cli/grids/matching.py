@@ -24,6 +24,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
@@ -206,7 +207,9 @@ def answers(
     for angle, chosen in zip(angles.tolist(), best, strict=True):
         if chosen.any():
             near = np.unique((shifts[chosen, None] + around).reshape(-1, 2), axis=0)
-            ((_, scores),) = _lattice_scores(coarse, local, centre, near, np.array([angle]))
+            placed = near[:, None] + centre._replace(theta=angle).apply(local)
+            values = coarse.at(placed.reshape(-1, 2)).reshape(len(near), -1)
+            scores = values.mean(axis=1, dtype=np.float64)
             found += [
                 (score, Pose2(x + across, y + along, wrap_angle(angle)))
                 for score, (across, along) in zip(scores.tolist(), near.tolist(), strict=True)
@@ -308,9 +311,13 @@ def _lattice(
 def _lattice_scores(
     field: ScoreField, points: NDArray[Any], guess: Pose2, shifts: FloatArray, angles: FloatArray
 ) -> Iterator[tuple[float, FloatArray]]:
-    """For each angle the scores (S,) of points (N, 2) at the guess turned by it and shifted."""
+    """For each angle the scores (S,) of points (N, 2) at the guess turned by it and shifted.
+
+    Shifts lie on a lattice; points are looked up at all of its square, which gathers rows at once.
+    """
     offsets = np.round(shifts / field.resolution).astype(np.intp)
-    reach = int(np.abs(offsets).max(initial=0))
+    reach, stride = int(np.abs(offsets).max(initial=0)), max(1, int(np.gcd.reduce(offsets.ravel())))
+    column, row = ((offsets + reach) // stride).T
     border = 2 * reach + 1
     # what points may touch at any angle: columns and rows, one at least; the last is excluded
     size = np.array(field.values.shape[::-1])
@@ -325,17 +332,19 @@ def _lattice_scores(
         cv2.BORDER_CONSTANT,
         value=0.0,
     )
-    height, width = padded.shape
-    flat, jumps = padded.ravel(), offsets[:, 1] * width + offsets[:, 0]
+    # by the first row and column of each window: its values at all shifts
+    windows = sliding_window_view(padded, (2 * reach + 1,) * 2)[:, :, ::stride, ::stride]
+    height, width = windows.shape[:2]
     corner = np.asarray(field.origin) - border * field.resolution
     for angle in angles.tolist():
         placed = Pose2(guess.x, guess.y, guess.theta + angle).apply(points)
-        columns, rows = (((placed - corner) / field.resolution).astype(np.intp) - low).T
+        cells = ((placed - corner) / field.resolution).astype(np.intp)
+        columns, rows = (cells - low - reach).T
         # a point too far outside to be shifted onto the field waits on the border of noughts
-        np.clip(columns, reach, width - 1 - reach, out=columns)
-        np.clip(rows, reach, height - 1 - reach, out=rows)
-        cells = jumps[:, None] + (rows * width + columns)[None, :]
-        yield angle, flat.take(cells).sum(axis=1, dtype=np.float64) / len(points)
+        np.clip(columns, 0, width - 1, out=columns)
+        np.clip(rows, 0, height - 1, out=rows)
+        sums = windows[rows, columns].sum(axis=0, dtype=np.float64)
+        yield angle, sums[row, column] / len(points)
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:

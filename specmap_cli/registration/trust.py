@@ -152,8 +152,8 @@ def _concluded(
         there = scene.support(own.planar)
         explained = there.share >= ENOUGH and there.score >= SURE_SCORE
         sure = fit.score >= SURE_SCORE or (spoken_for and not scene.is_narrow)
-        gain = scene.gain(own.planar, fit.planar)
-        overrules = sure and not explained and gain >= _REFUTES
+        if sure and not explained:
+            overrules = scene.gain(own.planar, fit.planar) >= _REFUTES
         if not (overrules or _speaks_against(there, scene.config)):
             fit, support = replace(own, refused=fit.refused), there
             agrees = unaligned = True

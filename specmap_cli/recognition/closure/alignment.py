@@ -183,13 +183,13 @@ def align(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()) -> 
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
-    one, centre = _Map(old, wholes[0]), wholes[1].walls.mean(axis=0)
+    one, middle = _Map(old, wholes[0]), wholes[1].middle
     found = _Search(one.whole, wholes[1], new).ranked()
     for map_ in bent:
         whole = prepared(map_.whole)
         if whole is not None:
             found += _Search(one.whole, whole, map_).ranked()
-    best, *rivals = _different(found, centre)
+    best, *rivals = _different(found, middle)
     taken = wholes[1] if best.new is new else prepared(best.new.whole)
     assert taken is not None  # a place was found for it
     ground = _common_ground(one, _Map(best.new, taken), best.old_from_new)
@@ -237,13 +237,14 @@ class _Candidate:
         return self.old_from_new, self.old_from_new @ shift
 
 
-def _different(found: Iterable[_Candidate], centre: FloatArray) -> list[_Candidate]:
+def _different(found: Iterable[_Candidate], middle: Pose2) -> list[_Candidate]:
     """Transforms, the best first, each of which puts an end of the new map elsewhere."""
-    kept: list[_Candidate] = []
+    kept, placed = list[_Candidate](), list[list[Pose2]]()
     for one in sorted(found, key=lambda one: -one.evidence_m):
-        pairs = [zip(one.ends, other.ends, strict=True) for other in kept]
-        if all(any(are_rivals(a, b, centre) for a, b in ends) for ends in pairs):
+        ends = [end @ middle for end in one.ends]
+        if all(any(map(are_rivals, ends, others)) for others in placed):
             kept.append(one)
+            placed.append(ends)
     return kept
 
 
@@ -252,21 +253,20 @@ class _Search:
 
     def __init__(self, old: PreparedGrid, new: PreparedGrid, map_: MapToAlign) -> None:
         self.old, self.new, self.map = old, new, map_
-        self._centre = new.walls.mean(axis=0)
         free = new.grid.centres_of(np.argwhere(new.grid.free))
         self._floor = evenly(free, _FLOOR_POINTS)
 
     def ranked(self) -> list[_Candidate]:
         """The best transform and those that truly differ, also slid along walls; the best first."""
         rough = [self._measured(self._refined(pose, rough=True)) for pose in self._places()]
-        likely = _different(rough, self._centre)[:_FOLLOWED]
+        likely = _different(rough, self.new.middle)[:_FOLLOWED]
         found = [self._measured(self._refined(one.old_from_new)) for one in likely]
         best = max(found, key=lambda one: one.evidence_m)
         for k in range(4):  # as they are: refined, they would slide back
             along = self.old.direction + k * math.pi / 2
             slid = Pose2(_SLID_M * math.cos(along), _SLID_M * math.sin(along), 0.0)
             found.append(self._measured(slid @ best.old_from_new))
-        return _different(found, self._centre)
+        return _different(found, self.new.middle)
 
     def _places(self) -> Iterator[Pose2]:
         """Where the walls of the new map, or of one of its tiles, lie on walls of the old one."""

@@ -76,6 +76,12 @@ class PreparedGrid:
     at_wall: BoolArray
     open: BoolArray
 
+    @property
+    def middle(self) -> Pose2:
+        """The middle of its walls, unturned: transforms differ by where they place it."""
+        x, y = self.walls.mean(axis=0).tolist()
+        return Pose2(x, y, 0.0)
+
     @cached_property
     def wide(self) -> ScoreField:
         """How near walls are, tolerant, for ranking."""
@@ -160,11 +166,10 @@ def headings(old: PreparedGrid, new: PreparedGrid) -> list[float]:
     ]
 
 
-def are_rivals(a: Pose2, b: Pose2, centre: NDArray[np.float64]) -> bool:
-    """Whether two transforms place `centre` (2,), or turn it, too differently to be the same."""
-    shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
+def are_rivals(a: Pose2, b: Pose2) -> bool:
+    """Whether two poses of the middle of a map are too different to be the same."""
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(*shift.tolist()) > RIVAL_M or turn > RIVAL_RAD
+    return math.dist(a[:2], b[:2]) > RIVAL_M or turn > RIVAL_RAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,13 +217,13 @@ def verify(
     best, *others = checks
     if best.score < _HOPELESS_SCORE:
         return best
-    points, centre = evenly(new.walls, _FINE_POINTS), new.walls.mean(axis=0)
+    points, about = evenly(new.walls, _FINE_POINTS), new.middle
     fine = refine(old.field, points, best.old_from_new, _FINE_STEPS, _FINE_SHIFT_M).pose
     final = judge(old, new, fine)
     rivals = [
         _rank(check)
         for check in others
-        if are_rivals(check.old_from_new, best.old_from_new, centre)
+        if are_rivals(check.old_from_new @ about, best.old_from_new @ about)
     ]
     lead = _rank(best) - max(rivals, default=-1.0)
     return replace(final if final.score >= best.score else best, lead=lead)
