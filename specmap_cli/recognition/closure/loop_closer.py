@@ -304,7 +304,10 @@ class LoopCloser:
             return _closure(new.number, old.number, claims, no_walls)
         way_m = self._way.between(old.travelled_m, new.travelled_m)
         check = verify(
-            grids[0], grids[1], lambda pose: plausible(old, new, pose, way_m, self.config)
+            grids[0],
+            grids[1],
+            lambda pose: plausible(old, new, pose, way_m, self.config),
+            old.tracked_from(new),
         )
         found = decide(old, new, check, way_m, self.config)
         if check is not None and found.verified:

@@ -196,17 +196,23 @@ class Check:
 
 
 def verify(
-    old: PreparedGrid, new: PreparedGrid, plausible: Callable[[Pose2], bool]
+    old: PreparedGrid,
+    new: PreparedGrid,
+    plausible: Callable[[Pose2], bool],
+    tracked: Pose2 | None = None,
 ) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
 
-    And how much better it is than a different one. Only those that tracking finds `plausible` are
-    weighed. Where the best is ruled out itself and leads, all are: it is to be told.
+    And how much better it is than a different one. Candidates are where walls lie along walls, and
+    where the new grid was `tracked`: new space and rooms without right angles hide that from the
+    search. Only what tracking finds `plausible` is weighed. Where the best is ruled out itself and
+    leads, all are: it is to be told.
     """
     points = evenly(new.walls, _ROUGH_POINTS)
     found = search_everywhere(old.wide, new.walls, _PLACES, COARSE_M, headings(old, new))
     places = [match.pose for match in found]
     likely = sorted(places, key=partial(old.wide.score, points), reverse=True)[:_REFINED]
+    likely += [] if tracked is None else [tracked]
     poses = (refine(old.field, points, pose, _ROUGH_STEPS, _ROUGH_SHIFT_M).pose for pose in likely)
     checks = sorted((judge(old, new, pose) for pose in poses), key=_rank, reverse=True)
     if not checks:

@@ -144,7 +144,7 @@ class Oracle:
         monkeypatch.setattr(f"{closing}.LoopCloser._prepared", lambda _, stay: stay.number)
         monkeypatch.setattr(f"{closing}.verify", self.verify)
 
-    def verify(self, old: Any, new: Any, plausible: Any) -> Check:
+    def verify(self, old: Any, new: Any, plausible: Any, _tracked: Any) -> Check:
         """A match of the given score, nearly on top of each other."""
         self.plausible[old, new] = plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
