@@ -14,8 +14,7 @@ from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 
-ALL = range(7)
-CELL_M = 0.05
+ALL, CELL_M = range(7), 0.05
 _WALL_M, _CORRIDOR_M, _DOOR_M, _BESIDE_M = 0.2, 2.0, 0.9, 1.0
 
 Box = tuple[float, float, float, float]  # left, bottom, right, top, metres
@@ -142,8 +141,7 @@ def test_two_maps_of_one_floor(seed: int, turn: float) -> None:
     assert_right(align(new, old), frame.inverse())
     assert found.submaps >= 6
     assert {(joint.old, joint.new) for joint in found.joints} >= {(k, k) for k in range(6)}
-    for joint in found.joints:
-        assert math.dist(joint.map_from_map[:2], frame[:2]) < 0.3
+    assert all(math.dist(joint.map_from_map[:2], frame[:2]) < 0.3 for joint in found.joints)
     assert found.area_m2 == pytest.approx(plan.grid.free_area_m2, rel=0.05)
 
 
@@ -248,22 +246,18 @@ def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
     return replace(seen(hallway, (0, 1, 3, 4, 5)), longer_m=longer_m)
 
 
-@pytest.mark.parametrize("longer_m", [-1.5, 1.5])
+@pytest.mark.parametrize("longer_m", [-1.5, 0.0, 1.5])
 def test_a_hallway_whose_length_was_guessed_is_found_by_another_length(longer_m: float) -> None:
-    old, guessed_m = of_length(10.0), 10.0 - longer_m
-    refused(old, of_length(guessed_m))
-    found = align(old, of_length(guessed_m), [of_length(guessed_m, step) for step in _STEPS])
+    old, new = of_length(10.0), of_length(10.0 - longer_m)
+    bent = [of_length(10.0 - longer_m, step) for step in _STEPS]
+    found = align(old, new, bent)
     assert_right(found, IDENTITY)
     assert found.longer_m == longer_m
-    assert f"was made 1.5 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
-
-
-def test_a_map_that_is_right_keeps_its_length_and_one_of_another_building_stays_refused() -> None:
-    new, bent = of_length(10.0), [of_length(10.0, step) for step in _STEPS]
-    found = align(new, new, bent)
-    assert_right(found, IDENTITY)
-    assert found.longer_m == 0.0
-    assert align(seen(random_floor(7)), new, bent).old_from_new is None
+    if longer_m:
+        refused(old, new)
+        assert f"was made 1.5 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
+    else:  # another building stays refused, whatever the length
+        assert align(seen(random_floor(7)), new, bent).old_from_new is None
 
 
 def test_what_fits_with_two_lengths_is_refused() -> None:

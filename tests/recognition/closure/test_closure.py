@@ -170,8 +170,7 @@ def test_a_match_where_tracking_has_it_says_that_it_has_not_drifted(
 ) -> None:
     """After 100 m the robot is back in the first room: 5 m on, that is no room 6 m away."""
     loop = closer(small({}))
-    ways = (0.0, 100.0, 105.0)
-    frames = (0.0, 0.0, 6.0)
+    ways, frames = (0.0, 100.0, 105.0), (0.0, 0.0, 6.0)
     oracle.scores = {(0, 1): 0.9 if confirmed else 0.1, (0, 2): 0.95}
     found = []
     for number, (way_m, x) in enumerate(zip(ways, frames, strict=True)):
@@ -196,9 +195,8 @@ def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle)
     loop = closer(small({"candidates": 9}))
     oracle.scores = {(1, 4): 0.95, (2, 4): 0.9}
     closures = considered(loop, building, [0, 1, 2, 3, 4])[-1]
-    assert [c.old for c in closures] == [1, 2, 0, 3]
-    assert [c.merged for c in closures] == [True, False, False, False]
-    assert [c.verified for c in closures] == [True, True, False, False]
+    told = [(c.old, c.merged, c.verified) for c in closures]
+    assert told == [(1, True, True), (2, False, True), (0, False, False), (3, False, False)]
     assert closures[1].reason == "another submap fits better"
     assert closures[1].old_from_new == Pose2(0.2, 0.0, 0.0)
     assert closures[2].old_from_new is closures[3].old_from_new is None
@@ -254,9 +252,8 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
 def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
-    """Those, too, that cannot be prepared: those of even numbers."""
-    loop, asked = closer(RecognitionConfig()), list[int]()
-    held: list[int] = []  # the last used one last
+    """Those, too, that cannot be prepared: those of even numbers. Held, the last used is last."""
+    loop, asked, held = closer(RecognitionConfig()), list[int](), list[int]()
 
     def answer(number: int) -> int | None:
         asked.append(number)

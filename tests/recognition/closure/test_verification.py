@@ -39,9 +39,9 @@ def ready(grid: GridMap) -> PreparedGrid:
     return made
 
 
-def matched(old: PreparedGrid, new: PreparedGrid) -> Check:
+def matched(old: PreparedGrid, new: PreparedGrid, tracked: Pose2 | None = None) -> Check:
     """The match of two grids that both show enough walls."""
-    check = verify(old, new, lambda _: True)
+    check = verify(old, new, lambda _: True, tracked)
     assert check is not None
     return check
 
@@ -195,6 +195,16 @@ def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) ->
     assert (math.cos(known.old_from_new.theta) < 0.0) is turned
     # what leads though it is not plausible is told, so that the reason can be said: a twin
     assert verify(room, room, lambda pose: pose.distance > 1.0) == matched(room, room)
+
+
+def test_where_new_space_turns_the_walls_the_tracked_place_is_tried() -> None:
+    """Most walls of the new grid are of an annex that stands askew: along them nothing fits."""
+    annex = [(x, 2.4, x + 5.4, 5.4) for x in (-5.5, -4.0, -2.5, -1.0, 0.5)]
+    old, new = ready(walls_at(ROOM)), ready(walls_at(ROOM + annex))
+    assert abs(matched(old, new).old_from_new.theta) > 0.3
+    found = matched(old, new, Pose2(0.2, -0.1, 0.03))
+    assert min(found.score - 0.95, found.lead - MIN_LEAD) > 0.0
+    assert found.old_from_new.distance < 0.05
 
 
 @pytest.mark.parametrize("degrees", [0, 10, 37, 80])
