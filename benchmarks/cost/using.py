@@ -35,7 +35,7 @@ ROWS = (
     Row("floor", "`segment` of a floor at 0.02 m", 3.0, 2.0, "less", ".1f", "s"),
     Row("floor_mb", "the same: memory", 400, 300, "less", ".0f", "MB"),
     Row("localized", "scans a second with filter and poses, 1,080 beams", 200, 400, form=".0f"),
-    Row("first_label", "`localize`, until the first label", 0.6, 0.3, "less", ".2f", "s"),
+    Row("first_label", "`localize`, until the first label", 0.5, 0.3, "less", ".2f", "s"),
     Row("help", "`specmap --help`", 0.3, 0.2, "less", ".2f", "s"),
     Row("import", "`import specmap_cli`", 0.1, 0.05, "less", ".3f", "s"),
     Row("installed", "size of an installation", 500, 300, "less", ".0f", "MB"),

@@ -96,6 +96,19 @@ class Written:
         return handler.generate_schema(Annotated[self.form, AfterValidator(self.read), way_back])
 
 
+class Unchanging(dict[str, Any]):
+    """An object of a JSON file that a program may read, and not change."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("what was read of a map cannot be changed")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[type[Unchanging], tuple[dict[str, Any]]]:
+        return Unchanging, (dict(self),)
+
+
 def _inside(name: str) -> str:
     """Refuse a file name that leads out of the map directory."""
     parts = PurePosixPath(name).parts

@@ -37,7 +37,7 @@ from specmap_cli.exports.route_formats import nav2, nav2_masks, tmap2
 from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
 from specmap_cli.maps.rooms import DOOR, LINK, SUBMAP, collection, features_of, fields_of, told_of
-from specmap_cli.maps.store import Map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.maps.text_files import map_text
 
 GROUP = "specmap.exporters"
@@ -89,20 +89,20 @@ def exporters() -> dict[str, Exporter]:
 
 
 def export_map(
-    stored: Map,
+    map_: Map | Path | str,
     name: str,
     out: Path | str,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write a map in the format `name` to the file `out`, complete or not at all.
+    """Write a map, or that of a directory, in the format `name` to the file `out`, or nothing.
 
     Returns the warnings. Raises UsageError for a format that nobody offers, and for a file that
     has a wrong ending, exists (unless `overwrite`) or cannot be written; MapError for a damaged
     map, and for one that lacks what the format cannot do without.
     """
-    target, known = Path(out), exporters()
+    stored, target, known = opened_map(map_, "map_"), Path(out), exporters()
     if name not in known:
         raise UsageError(f"unknown format {name!r}", f"choose from {', '.join(sorted(known))}")
     ending = getattr(known[name], "ending", None) or target.suffix

@@ -218,10 +218,10 @@ class SweepStream:
     `Log` and `LogConfig`.
     """
 
-    def __init__(self, log: Log, config: LogConfig) -> None:
+    def __init__(self, log: Log, config: LogConfig | None = None) -> None:
         self.log = instance_of(log, Log, "log")
-        self.config = instance_of(config, LogConfig, "config")
-        self.selection: Selection = select(log, config)
+        self.config = instance_of(LogConfig() if config is None else config, LogConfig, "config")
+        self.selection: Selection = select(log, self.config)
         self.counts = dict.fromkeys(_COUNTED, 0)
         self.ceiling, self.own_body = Ceiling(), OwnBody()
         self._odometry = OdometryListener(self.selection)

@@ -304,5 +304,6 @@ def _frame_lines(frames: Sequence[FrameSummary], scan_frame: str | None) -> list
         x, y, z = frame.xyz_m
         roll, pitch, yaw = frame.roll_pitch_yaw_deg
         fixed = f"at ({x:g}, {y:g}, {z:g}) m, roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} degrees"
-        told.append(f"  {frame.parent} -> {frame.child}  {'moving' if frame.moving else fixed}")
+        when = "on /tf, first " if frame.moving else ""
+        told.append(f"  {frame.parent} -> {frame.child}  {when}{fixed}")
     return [*told, f"  and {counted(others, 'other frame')}"] if others else told

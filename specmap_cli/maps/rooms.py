@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,7 +111,7 @@ class Rooms(Mapping[int, Room]):
         self._rooms = {
             node.id: Room(
                 **{name: getattr(node, name) for name in _SAME},
-                properties=MappingProxyType(node.properties),
+                properties=node.properties,
                 outline=outlines[node.id],
                 map_from_room=node.frame,
                 doors=tuple(door for door in doors if node.id in door.between),
@@ -136,10 +135,15 @@ class Rooms(Mapping[int, Room]):
 
     def place_of(self, given: RoomOrPlace) -> Point:
         """The place that is meant; ValueError for one that is nowhere, KeyError for no room."""
+        if isinstance(given, np.integer):  # as in the arrays of a map
+            given = int(given)
         room = self[given] if isinstance(given, int | str) else given
         if isinstance(room, Room):
             return room.place
-        x, y = map(float, room[:2])
+        try:
+            x, y = map(float, room[:2])
+        except (TypeError, ValueError):
+            x = y = math.nan
         if not math.isfinite(x + y):
             raise ValueError(f"expected a room, or x and y in metres, found {given!r:.60}")
         return x, y

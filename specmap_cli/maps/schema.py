@@ -15,10 +15,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Quality
@@ -32,6 +32,7 @@ from specmap_cli.core.json_values import (
     PropertyValue,
     Record,
     Span,
+    Unchanging,
     part_of,
     point,
     transform,
@@ -98,8 +99,8 @@ class GraphRecord(Record):
     )
     edits: EditsRecord = Field(description="what of edits.toml the map shows")
     quality: Quality | None = Field(description="null where the map was not judged")
-    files: dict[str, str] = Field(
-        default_factory=dict,
+    files: Annotated[dict[str, str], AfterValidator(Unchanging)] = Field(
+        default_factory=Unchanging,
         description="SHA-256 of the files that belong to it, by name; maps of earlier versions do "
         "not tell it",
     )
@@ -114,7 +115,9 @@ class NodeRecord(Record):
         description="what it is by its shape, or by a person's word; null where it has no area, or "
         "nobody looked"
     )
-    properties: dict[str, PropertyValue] = Field(description="whatever a person wants to note")
+    properties: Annotated[dict[str, PropertyValue], AfterValidator(Unchanging)] = Field(
+        description="whatever a person wants to note"
+    )
     x: Number = Field(description="of its frame, in which the grid of `image` is drawn, metres")
     y: Number = Field(description="of its frame, metres")
     theta: Number = Field(description="of its frame, radians, counter-clockwise")
@@ -128,7 +131,7 @@ class NodeRecord(Record):
     anchor_clearance_m: Amount | None = Field(
         description="from the anchor to the nearest thing that is not free, metres"
     )
-    polygon: list[Point] = Field(
+    polygon: tuple[Point, ...] = Field(
         description="border of its largest connected part, counter-clockwise, not closed"
     )
     area_m2: Amount = Field(description="area of its free cells, square metres")

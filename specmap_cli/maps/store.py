@@ -102,8 +102,10 @@ class Map:
 
     def _repr_html_(self) -> str:
         """The same with a table of its rooms."""
-        picture = b64encode(self._repr_png_() or b"").decode("ascii")
-        return f'<img src="data:image/png;base64,{picture}">{self.rooms._repr_html_()}'
+        table, picture = self.rooms._repr_html_(), self._repr_png_()
+        if picture is None:
+            return table
+        return f'<img src="data:image/png;base64,{b64encode(picture).decode("ascii")}">{table}'
 
     @property
     def frame(self) -> str:

@@ -134,6 +134,7 @@ def _drawn(
             "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
             mark=";",
         )
+    session.progress.start("segmentation", None)
     with session.clock.stage("segmentation"):
         division = division_of(whole, layout, config, starts)
     give_memory_back()

@@ -9,7 +9,7 @@ from typing import Any
 from specmap_cli.core.errors import UsageError, instance_of, path_of
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.process import one_blas_thread
-from specmap_cli.core.progress import Progress
+from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing.overview import render_segmentation
@@ -71,14 +71,15 @@ def segment_map(
     """Divide the grid in a map file into submaps and write them to the directory `out`.
 
     `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
-    was looked at: nodes, sight lines, eigenvalues. `progress` has a note of what in the file
-    is read otherwise than its thresholds say. Raises MapError for a file that is no map,
+    was looked at: nodes, sight lines, eigenvalues. `progress` hears of the stage, and of what in
+    the file is read otherwise than its thresholds say. Raises MapError for a file that is no map,
     NoResultError when it has no room for a node, UsageError for an output in the way.
     """
     path, target = path_of(grid, "grid"), path_of(out, "out")
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
+    progress = progress or Silent()
     full = read_grid(path, resolution, config.limits, progress)
     whole = full.cropped()
     if whole.resolution > _COARSEST_M:
@@ -89,6 +90,7 @@ def segment_map(
             "check the resolution; 0.05 m is usual",
             where=path,
         )
+    progress.start("segmentation", None)
     found = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, found.labels)
     with OutputDirectory(target, overwrite) as partial:

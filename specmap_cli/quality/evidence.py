@@ -346,6 +346,8 @@ def base_by_odometry(trajectory: Trajectory) -> Pose2:
         off = abs(q - s * m - sp * c)
         usual = max(float(np.median(off)) / _MEDIAN_OFF, _LEAST_OFF_M)
         weights = _HUBER * usual / np.maximum(off, _HUBER * usual)
+    if not abs(s) > 0.0:  # by the wheels it stood still
+        return IDENTITY
     place, turn = sp / s, -float(np.angle(s))
     sure_m, sure_rad = 2.0 * usual / abs(s) * np.sqrt(np.array([mm, cc]) / free)
     elsewhere = abs(place) - sure_m > MISPLACED_M or abs(turn) - sure_rad > MISPLACED_RAD

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import pty
 import re
+import threading
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from rich.progress import ProgressColumn
 
+from specmap_cli.cli import entry
 from specmap_cli.cli.entry import ConsoleProgress, bars
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
@@ -95,6 +99,37 @@ def test_a_level_shows_what_those_before_it_show(
     )
 
 
+def soon(happens: Callable[[], bool]) -> bool:
+    """Whether something happens within a minute."""
+    end = time.monotonic() + 60.0
+    while not happens() and time.monotonic() < end:
+        time.sleep(0.01)
+    return time.monotonic() < end
+
+
+def test_where_no_terminal_is_a_line_tells_now_and_then_where_the_work_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(entry, "_TOLD_EVERY_S", 0.01)
+    others, err = threading.active_count(), ""
+
+    def heard(stage: str) -> bool:
+        nonlocal err
+        err += capsys.readouterr().err
+        return f"{stage}:" in err
+
+    with ConsoleProgress() as progress:
+        progress.start("mapping", 2_000)
+        progress.advance(1_204)
+        assert soon(lambda: heard("mapping"))
+        progress.start("layout", None)
+        assert soon(lambda: heard("layout"))
+    assert re.search(r"^specmap: mapping: 1,204 of 2,000, \d+ s$", err, flags=re.MULTILINE)
+    assert re.search(r"^specmap: layout: \d+ s$", err, flags=re.MULTILINE)
+    with ConsoleProgress(Level.WARNING):
+        assert threading.active_count() == others
+
+
 def test_a_file_gets_notes_alone_and_every_stage_with_its_time_when_asked(
     tiny_log: Path, tmp_path: Path, run: Run
 ) -> None:
@@ -103,4 +138,6 @@ def test_a_file_gets_notes_alone_and_every_stage_with_its_time_when_asked(
     told = "scans from /scan (LaserScan, 61), odometry from /odom, base frame base_link"
     assert note == f"specmap: {told}"
     found = [re.fullmatch(r"specmap: debug: (.*): .*\d\.\d s", line) for line in stages]
-    assert [stage and stage[1] for stage in found] == ["mapping", "layout", "grids", "training"]
+    assert [stage and stage[1] for stage in found] == [
+        *("mapping", "layout", "segmentation", "grids", "training")
+    ]

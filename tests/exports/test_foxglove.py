@@ -84,7 +84,7 @@ def test_submaps_and_graph_are_the_map_s(home: Map, found: Found) -> None:
     ((_, submaps),), ((_, graph),) = found["/submaps"], found["/graph"]
     record = home.record
     for entity, node in zip(submaps.entities, record.nodes, strict=True):
-        assert points(entity.lines[0]) == node.polygon
+        assert points(entity.lines[0]) == list(node.polygon)
         assert entity.texts[0].text == node.name
         assert (entity.texts[0].pose.position.x, entity.texts[0].pose.position.y) == node.anchor
         facts = {pair.key: pair.value for pair in entity.metadata}

@@ -44,7 +44,7 @@ def test_the_server_reads_anchors_doors_and_bends(home: Map, tmp_path: Path) -> 
     assert {graph.nodes[node]["frame"] for node in graph} == {"map"}
     assert kinds[1]["name"] == "submap 1"
     assert kinds[1]["properties"] == {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
-    assert list(zip(*kinds[1]["region"].values(), strict=True)) == home.record.nodes[1].polygon
+    assert tuple(zip(*kinds[1]["region"].values(), strict=True)) == home.record.nodes[1].polygon
     assert kinds[5]["class"], kinds[5]["door"] == ("door", 0)
 
 

@@ -148,7 +148,7 @@ def test_frames_are_those_above_the_scan(path: Path) -> None:
     lines = summary.lines()
     place = lines.index("frames:")
     assert lines[place + 1 : place + 4] == [
-        "  odom -> base_link  moving",
+        "  odom -> base_link  on /tf, first at (1, 2, 0) m, roll 0, pitch 0, yaw 28.6479 degrees",
         "  base_link -> laser  at (0.1, -0.2, 0.3) m, roll 180, pitch -20, yaw 90 degrees",
         "  and 1 other frame",
     ]

@@ -23,11 +23,11 @@ from specmap_cli.recognition.closure.verification import (
     MIN_WALL_M,
     Check,
     PreparedGrid,
+    headings,
     judge,
     prepared,
     tracks_overlap,
     verify,
-    wall_direction,
 )
 from tests.strategies import angles, few, pose_arrays, poses
 from tests.turning import turn
@@ -69,6 +69,8 @@ def around(*corners: tuple[float, float]) -> list[tuple[float, float, float, flo
 ROOM = around((-3.0, -2.0), (3.0, -2.0), (3.0, 0.5), (0.5, 0.5), (0.5, 2.0), (-3.0, 2.0))
 ROOM += [(-1.5, -0.7, -0.5, -0.7)]
 HALL = around((-4.0, -2.0), (4.0, -2.0), (4.0, 2.0), (-4.0, 2.0))
+# no two walls at right angles
+WEDGE = around((-4.0, -2.0), (3.0, -1.0), (1.0, 2.5))
 ROOM_WITH_FLOOR, HALF_WITH_FLOOR = (ready(walls_at(part, free=True)) for part in (ROOM, ROOM[:4]))
 
 
@@ -207,11 +209,14 @@ def test_where_new_space_turns_the_walls_the_tracked_place_is_tried() -> None:
     assert found.old_from_new.distance < 0.05
 
 
-@pytest.mark.parametrize("degrees", [0, 10, 37, 80])
-def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
-    hall = walls_at(moved(HALL, Pose2(0.0, 0.0, -math.radians(degrees))))
-    off = wrap_angle(4.0 * (wall_direction(hall) - np.radians(degrees))) / 4.0
-    assert abs(np.degrees(off)) < 1.0
+@pytest.mark.parametrize("degrees", [0, 10, 37, 80, 130])
+def test_headings_lay_walls_along_walls(degrees: float) -> None:
+    """Also where no two walls meet at right angles."""
+    truth = Pose2(0.0, 0.0, math.radians(degrees))
+    for place in (HALL, WEDGE):
+        old, new = ready(walls_at(place)), ready(walls_at(moved(place, truth)))
+        off = [abs(wrap_angle(each - truth.theta)) for each in headings(old, new)]
+        assert math.degrees(min(off)) < 1.0
 
 
 def test_the_border_of_a_grid_is_no_end_of_free_space() -> None:
