@@ -84,9 +84,7 @@ def test_the_examples_of_the_page_run(
 
 QUESTIONS = """
 import math, sys
-from specmap_cli import Localizer, Scan, SpecmapError, open_log, read_map
-from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.stream import SweepStream
+from specmap_cli import Localizer, Scan, SpecmapError, SweepStream, open_log, read_map
 
 map_ = read_map("house")
 for x, y in [(1.0, 4.0), (8.0, 4.0), (50.0, 50.0)]:
@@ -101,7 +99,7 @@ print(f"{route.length_m:.1f} m: {through}")
 
 localizer = Localizer(map_)
 with open_log("log.mcap") as log:
-    for sweep in SweepStream(log, LogConfig()):
+    for sweep in SweepStream(log):
         seen = sweep.planar
         scan = Scan(seen.stamp_ns, seen.ranges, seen.bearings, odometry=sweep.odom_from_base)
         found = localizer.add(scan)

@@ -15,22 +15,46 @@ from typing import Any
 import typer
 
 import specmap_cli
+from specmap_cli import Map, SpecmapError
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import CODES
+from specmap_cli.core.findings import Quality
+from specmap_cli.core.records import Labels, PlanarScan, Sweep, Trajectory
 from specmap_cli.core.schemas import read_schema, schema_names
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import OF_A_MAP
+from specmap_cli.maps.rooms import Room
+from specmap_cli.pipelines.localizer import LocalizedScan
+from specmap_cli.pipelines.reports import BuildReport
+from specmap_cli.recognition.localization.localizer import Label
+from specmap_cli.topology.navigation import Route
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import Door
 
 ROOT = Path(__file__).parent.parent
 RECORD = Path(__file__).with_name("stable_names.json")
+PAGE = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+# What a program is given, and does not make.
+GIVEN: tuple[type, ...] = (
+    BuildReport,
+    Door,
+    GridMap,
+    Label,
+    Labels,
+    LocalizedScan,
+    Map,
+    PlanarScan,
+    Quality,
+)
+GIVEN += (Regions, Room, Route, SpecmapError, Sweep, Trajectory)
 
 
 def _members(kind: Any) -> list[str]:
-    """What a program may name of a public class or function: attributes, or parameters."""
-    if not inspect.isclass(kind):
-        return sorted(inspect.signature(kind).parameters)
-    fields = [*getattr(kind, "__dataclass_fields__", {}), *dir(kind)]
-    mine = {name for name in fields if not name.startswith("_")}
-    return sorted(mine - set(dir(Exception))) if issubclass(kind, Exception) else sorted(mine)
+    """What a program may name of a class or function: what the page names of it, or parameters."""
+    named = {*re.findall(r"\w+", " ".join(re.findall(r"```.+?```|`.+?`", PAGE, flags=re.DOTALL)))}
+    fields = {*getattr(kind, "__dataclass_fields__", {}), *dir(kind)} & named
+    parameters = set(inspect.signature(kind).parameters) - {"args", "kwargs"}
+    return sorted(fields if kind in GIVEN else fields | parameters)
 
 
 def _properties(part: Any) -> set[str]:
@@ -49,7 +73,8 @@ def found() -> dict[str, Any]:
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     schemas = {name: read_schema(name) for name in schema_names()}
     return {
-        "library": {name: _members(getattr(specmap_cli, name)) for name in specmap_cli.__all__},
+        "library": {name: _members(getattr(specmap_cli, name)) for name in specmap_cli.__all__}
+        | {kind.__name__: _members(kind) for kind in GIVEN},
         "commands": {
             name: sorted({option for one in command.params for option in one.opts})
             for name, command in commands.items()

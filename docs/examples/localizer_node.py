@@ -12,7 +12,11 @@ localizer = Localizer(sys.argv[1])
 
 
 def heard(message: LaserScan) -> None:
-    """Feed the localizer; odometry from TF, as `odometry=(x, y, theta)`, helps it much."""
+    """Feed the localizer. Odometry from TF, as `odometry=(x, y, theta)`, helps it much.
+
+    A laser that is not in the middle of the robot is told by `laser=(x, y, theta)`: else the pose
+    that is printed is that of the laser.
+    """
     stamp, angles = message.header.stamp, np.arange(len(message.ranges))
     scan = Scan(
         stamp_ns=stamp.sec * 10**9 + stamp.nanosec,

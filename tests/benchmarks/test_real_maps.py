@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,22 +58,26 @@ def test_a_search_finds_nothing_beyond_its_reach_and_a_view_of_another_room_does
     assert lay(circle + 100.0, walls, Pose2(0, 0, 0)).share == 0.0
 
 
-class Hallway(Seen):
-    """A map of a bare hallway between two rooms, driven along; the laser reaches 4 m."""
+class Drive(Seen):
+    """A drive along y = 1 past walls (N, 2), seen so far; the map has it `off_m` from there."""
 
-    def __init__(self, long_m: float) -> None:
-        far = room() * (-1.0, 1.0) * 0.8 + (long_m + 8.0, 0.0)  # no mirror image of the near one
-        bare = np.arange(6.0, long_m + 3.2, 0.02)
-        sides = [np.column_stack([bare, np.full(len(bare), y)]) for y in (0.0, 2.0)]
-        walls = np.concatenate([room(), far, *sides])
-        self.poses = np.column_stack([np.arange(3.0, long_m + 6.0, 0.25)] * 3) * (1.0, 0.0, 0.0)
-        self.poses[:, 1] = 1.0
-        self.way_m = self.poses[:, 0] - 3.0
-        self._hits = [near[np.hypot(*near.T) < 4.0] for near in (walls - p[:2] for p in self.poses)]
+    def __init__(self, x: FloatArray, walls: FloatArray, reach_m: float, off_m: Any = 0.0) -> None:
+        self.poses = np.column_stack([x + off_m, np.ones(len(x)), np.zeros(len(x))])
+        self.way_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
+        seen = (walls - (at, 1.0) for at in x.tolist())
+        self._hits = [near[np.hypot(*near.T) < reach_m] for near in seen]
+
+
+def hallway(long_m: float) -> Seen:
+    """A bare hallway between two rooms, driven along; the laser reaches 4 m."""
+    far = room() * (-1.0, 1.0) * 0.8 + (long_m + 8.0, 0.0)  # no mirror image of the near one
+    bare = np.arange(6.0, long_m + 3.2, 0.02)
+    sides = [np.column_stack([bare, np.full(len(bare), y)]) for y in (0.0, 2.0)]
+    return Drive(np.arange(3.0, long_m + 6.0, 0.25), np.concatenate([room(), far, *sides]), 4.0)
 
 
 def test_a_map_is_laid_where_its_hallway_is_longer_and_nothing_is_said_within() -> None:
-    there, here = Hallway(18.0), Hallway(16.4)
+    there, here = hallway(18.0), hallway(16.4)
     truth = placed(there, here)
     x, found = here.poses[truth.rows, 0], truth.poses[:, 0]
     near, far, bare = x < 8.0, x > 19.5, (x > 12.0) & (x < 14.0)
@@ -93,28 +98,18 @@ def test_labels_that_keep_their_word_have_no_error_others_one_weighted_by_labels
     assert reliability(np.zeros(0), np.zeros(0, dtype=bool)).error == 0.0
 
 
-class Drive(Seen):
-    """A drive past a facade that repeats itself each three metres, seen 12 m to either side."""
-
-    def __init__(self, x: FloatArray, off_m: FloatArray) -> None:
-        self.poses = np.column_stack([x + off_m, 0.0 * x, 0.0 * x])
-        self.way_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
-        along = np.arange(-12.0, 72.0, 0.03)
-        bays = np.where(along % 3.0 < 1.0, 2.5, 2.0)
-        bays[along > 50.0] += 0.4 * (np.floor(along[along > 50.0]) % 4 == 0)
-        facade = np.column_stack([along, bays])
-        self._hits = [facade[np.abs(along - at) < 12.0] - (at, 0.0) for at in x.tolist()]
-
-
 def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None:
-    once = np.arange(0.0, 60.0, 0.5)
-    assert not list(passes(Drive(once, 0.0 * once)))
+    along = np.arange(-12.0, 72.0, 0.03)
+    bays = np.where(along % 3.0 < 1.0, 3.5, 3.0)
+    bays[along > 50.0] += 0.4 * (np.floor(along[along > 50.0]) % 4 == 0)
+    facade, once = np.column_stack([along, bays]), np.arange(0.0, 60.0, 0.5)
+    assert not list(passes(Drive(once, facade, 12.0)))
     there_and_back = np.concatenate([once, once[::-1]])
     off_m = np.where(np.arange(240) < 120, 0.0, 0.5)
-    right = list(passes(Drive(there_and_back, 0.0 * off_m)))
+    right = list(passes(Drive(there_and_back, facade, 12.0)))
     assert len(right) > 10
     assert not any(one.is_doubled for one in right)
-    wrong = [one for one in passes(Drive(there_and_back, off_m)) if one.is_doubled]
+    wrong = [one for one in passes(Drive(there_and_back, facade, 12.0, off_m)) if one.is_doubled]
     assert len(wrong) > 5
     assert np.median([one.off_m for one in wrong]) == pytest.approx(0.5, abs=0.05)
 

@@ -5,16 +5,12 @@ from __future__ import annotations
 import os
 import pty
 import re
-import threading
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from rich.progress import ProgressColumn
 
-from specmap_cli.cli import entry
 from specmap_cli.cli.entry import ConsoleProgress, bars
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
@@ -99,35 +95,22 @@ def test_a_level_shows_what_those_before_it_show(
     )
 
 
-def soon(happens: Callable[[], bool]) -> bool:
-    """Whether something happens within a minute."""
-    end = time.monotonic() + 60.0
-    while not happens() and time.monotonic() < end:
-        time.sleep(0.01)
-    return time.monotonic() < end
-
-
 def test_where_no_terminal_is_a_line_tells_now_and_then_where_the_work_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(entry, "_TOLD_EVERY_S", 0.01)
-    others, err = threading.active_count(), ""
-
-    def heard(stage: str) -> bool:
-        nonlocal err
-        err += capsys.readouterr().err
-        return f"{stage}:" in err
-
     with ConsoleProgress() as progress:
-        progress.start("mapping", 2_000)
-        progress.advance(1_204)
-        assert soon(lambda: heard("mapping"))
-        progress.start("layout", None)
-        assert soon(lambda: heard("layout"))
-    assert re.search(r"^specmap: mapping: 1,204 of 2,000, \d+ s$", err, flags=re.MULTILINE)
-    assert re.search(r"^specmap: layout: \d+ s$", err, flags=re.MULTILINE)
-    with ConsoleProgress(Level.WARNING):
-        assert threading.active_count() == others
+        for stage, done, total in (("mapping", 1_204, 2_000), ("layout", 0, None)):
+            progress.start(stage, total)
+            progress.advance(done)
+            waits = iter([False, True])
+            monkeypatch.setattr(progress._over, "wait", lambda _, waits=waits: next(waits))
+            progress._tell()
+    assert (
+        capsys.readouterr().err == "specmap: mapping: 1,204 of 2,000, 0 s\nspecmap: layout: 0 s\n"
+    )
+    assert progress._teller is not None
+    assert not progress._teller.is_alive()
+    assert ConsoleProgress(Level.WARNING)._teller is None
 
 
 def test_a_file_gets_notes_alone_and_every_stage_with_its_time_when_asked(
