@@ -1,4 +1,4 @@
-"""Progress on a terminal, and none where nobody watches."""
+"""Progress: bars on a terminal, lines now and then where there is none."""
 
 from __future__ import annotations
 
@@ -98,18 +98,19 @@ def test_a_level_shows_what_those_before_it_show(
 def test_where_no_terminal_is_a_line_tells_now_and_then_where_the_work_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with ConsoleProgress() as progress:
-        for stage, done, total in (("mapping", 1_204, 2_000), ("layout", 0, None)):
-            progress.start(stage, total)
-            progress.advance(done)
-            waits = iter([False, True])
-            monkeypatch.setattr(progress._over, "wait", lambda _, waits=waits: next(waits))
-            progress._tell()
-    assert (
-        capsys.readouterr().err == "specmap: mapping: 1,204 of 2,000, 0 s\nspecmap: layout: 0 s\n"
-    )
-    assert progress._teller is not None
-    assert not progress._teller.is_alive()
+    progress = ConsoleProgress()  # what its thread does is done here, and no thread begins
+    for stage, done, total in (("mapping", 1_204, 2_000), ("layout", 0, None)):
+        progress.start(stage, total)
+        progress.advance(done)
+        waits = iter([False, True])
+        monkeypatch.setattr(progress._over, "wait", lambda _, waits=waits: next(waits))
+        progress._tell()
+    told = "specmap: mapping: 1,204 of 2,000, 0 s\nspecmap: layout: 0 s\n"
+    assert capsys.readouterr().err == told
+    with ConsoleProgress() as telling:
+        assert telling._teller is not None
+        assert telling._teller.is_alive()
+    assert not telling._teller.is_alive()
     assert ConsoleProgress(Level.WARNING)._teller is None
 
 
