@@ -16,6 +16,7 @@ SECTIONS = (
         quick=True,
     ),
     Section("sessions", "Second sessions", f"{_REAL}.sessions", ("sessions",), quick=True),
+    Section("parts", "Parts of one drive", f"{_REAL}.parts", ("logs", "truth")),
     Section("foreign", "Other buildings", f"{_REAL}.foreign", ("logs", "sessions")),
     Section(
         "verdicts",

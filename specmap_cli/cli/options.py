@@ -84,7 +84,7 @@ class Common:
     log_level: Annotated[
         Level,
         option(
-            "On stderr: errors alone; warnings, too; notes and bars; each stage and its time.",
+            "On stderr: errors alone; warnings, too; notes and progress; each stage and its time.",
             envvar="SPECMAP_LOG_LEVEL",
         ),
     ] = Level.INFO

@@ -11,7 +11,7 @@ class Level(StrEnum):
 
     ERROR = "error"  # nothing but an error
     WARNING = "warning"  # what is wrong with the input or the result
-    INFO = "info"  # notes, and bars where a person watches
+    INFO = "info"  # notes, and how far it is: a bar, or lines where nobody watches
     DEBUG = "debug"  # each stage with its time
 
     def shows(self, other: Level) -> bool:

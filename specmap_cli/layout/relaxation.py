@@ -45,20 +45,24 @@ def relax(
     breaks: Mapping[int, Bridge | None],
     config: RelaxationConfig,
     passes: PassesOnTheWay | None = None,
+    ties: Sequence[Link] = (),
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
     `closures` are verified and may span any drift; `breaks` are the numbers of keyframes at which
     tracking started afresh, with the `Bridge` over each: how well odometry knows the motion there,
     None where nothing does. A piece after a break with a bridge moves no farther than that allows.
-    `passes` is the search for nearby passes, where it has begun on the way. Scans are read from the
-    store, a few at a time. With `config.enabled` false the poses stay as they were tracked.
-    Deterministic.
+    `passes` is the search for nearby passes, where it has begun on the way. `ties` place pieces
+    after a break as a whole, and are believed. Scans are read from the store, a few at a time. With
+    `config.enabled` false the poses stay as they were tracked. Deterministic.
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
-    ends = {end for closure in closures for end in (closure.source, closure.target)}
+    ends = {end for link in (*closures, *ties) for end in (link.source, link.target)}
     graph, walls, found = (passes or PassesOnTheWay(store)).ended(breaks, ends)
+    if ties:
+        placed = place_parts(graph, found, ties).adding(ties)
+        found = find_passes(graph, tighten(graph, placed), walls)
     views, tied = Views.of(store, graph), solved(graph, found)
     closed, judged = close(graph, tied, closures, walls)
     draft, outliers = settle(graph, closed)

@@ -22,11 +22,10 @@ from specmap_cli.core.geometry import (
     FloatArray,
     compose,
     invert,
-    travelled,
     wrap_angle,
     wrap_angles,
 )
-from specmap_cli.core.records import BoolArray, IntArray, Trajectory
+from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Agreement
@@ -217,10 +216,7 @@ def _pieces(store: KeyframeStore, poses: FloatArray) -> tuple[FloatArray, FloatA
 def corrected(trajectory: Trajectory, store: KeyframeStore, poses: FloatArray) -> Trajectory:
     """The trajectory of every registered scan, moved with the keyframes to their poses (n, 3)."""
     rows = rows_of(trajectory, store.stamps_ns, store.poses)
-    moved = propagated(trajectory.poses, rows, poses)
-    if trajectory.lost is not None:
-        moved = bridged(moved, trajectory.poses, trajectory.lost)
-    return replace(trajectory, poses=moved)
+    return replace(trajectory, poses=bridged(propagated(trajectory.poses, rows, poses), trajectory))
 
 
 def propagated(tracked: FloatArray, relaxed_rows: IntArray, relaxed: FloatArray) -> FloatArray:
@@ -245,23 +241,24 @@ def propagated_places(places: FloatArray, before: FloatArray, after: FloatArray)
     return np.asarray(moved[:, :2])
 
 
-def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArray:
+def bridged(poses: FloatArray, trajectory: Trajectory) -> FloatArray:
     """Poses (n, 3) in which the guesses of lost scans lead from the scan before to the one after.
 
-    `tracked` (n, 3) are the poses before any relaxing, `lost` (n,) marks the guesses. What a chain
-    of guesses misses the next known pose by is spread over the way.
+    The `trajectory` has them as tracked. What a chain of guesses misses the next known pose by is
+    spread over the time: after a hole without scans it was made up in the hole.
     """
-    result = np.array(poses)
+    result, tracked, lost = np.array(poses), trajectory.poses, trajectory.lost
+    if lost is None:
+        return result
     for start, end in runs(lost):
         if not lost[start] or start == 0 or end == len(poses):
             continue
         motions = compose(invert(tracked[start - 1]), tracked[start : end + 1])
         guesses = compose(poses[start - 1], motions)
-        way = travelled(tracked[start - 1 : end + 1])[1:]
-        share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way) + 1)[1:]
+        elapsed_ns = trajectory.stamps_ns[start : end + 1] - trajectory.stamps_ns[start - 1]
         missed = poses[end] - guesses[-1]
         missed[2] = wrap_angle(missed[2])
-        guesses += share[:, None] * missed
+        guesses += (elapsed_ns / max(1, elapsed_ns[-1]))[:, None] * missed
         guesses[:, 2] = wrap_angles(guesses[:, 2])
         result[start:end] = guesses[:-1]
     return result

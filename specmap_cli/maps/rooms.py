@@ -94,7 +94,8 @@ class Room:
         return product(motion, x_y)
 
 
-RoomOrPlace = Room | int | str | Sequence[float]  # a room by id or name, x and y, or a pose
+# A room by its id or name; x and y, or a pose: numbers of an array as well.
+RoomOrPlace = Room | int | np.integer | str | Sequence[float] | FloatArray
 
 
 class Rooms(Mapping[int, Room]):

@@ -27,6 +27,7 @@ from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout, along_walls, corrected, rows_of
 from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
 from specmap_cli.pipelines.map_in_making import Explored, LaidOut
+from specmap_cli.pipelines.pieces import Pieces, pieces_placed
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
@@ -63,7 +64,8 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         constraints = constraints_of(explored.closures, explored.regions, store, nodes)
         links = tuple(constraints.values())
         layout = relax(store, links, explored.breaks, config.relaxation, explored.passes)
-        layout = along_walls(layout, store, config.relaxation)
+        pieces = pieces_placed(session, Pieces(layout, links, explored.breaks), explored.trajectory)
+        layout = along_walls(pieces.layout, store, config.relaxation)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
@@ -84,31 +86,37 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             warnings=tracking.warnings,
             holes=holes_of(store, rows, trajectory, layout, explored.breaks),
             stretches=stretches_of(store.guessed_m, layout),
+            fitting=pieces.fitting,
+            rivals=pieces.rivals,
             mounting=store.base_from_laser(0),
         )
         findings = tuple(of_recording(evidence))
     stamps = np.array(store.stamps_ns, dtype=np.int64)
-    log = LogInfo(
-        name=legible(Path(name).name),
-        start_ns=int(trajectory.stamps_ns.min()),
-        end_ns=int(trajectory.stamps_ns.max()),
-        scans=len(trajectory.stamps_ns),
-        keyframes=(0, len(submaps) - 1),
-    )
     return LaidOut(
         layout=layout,
         labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
         trajectory=trajectory,
         stays=explored.regions,
         closures=closures,
-        breaks=explored.breaks,
-        logs=(log,),
+        breaks=pieces.breaks,
+        logs=(_told_of(name, trajectory.stamps_ns, len(submaps)),),
         findings=findings,
         next_id=1 + int(submaps.max()),
         drawn=whole,
         division=division,
         beyond=beyond,
         counts=tracking.counts,
+    )
+
+
+def _told_of(name: str, stamps_ns: IntArray, keyframes: int) -> LogInfo:
+    """The recording of a file whose scans have these stamps (n,), alone in its map."""
+    return LogInfo(
+        name=legible(Path(name).name),
+        start_ns=int(stamps_ns.min()),
+        end_ns=int(stamps_ns.max()),
+        scans=len(stamps_ns),
+        keyframes=(0, keyframes - 1),
     )
 
 

@@ -87,6 +87,14 @@ class Hole:
     kind: HoleKind = "missing"
 
 
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another place, `away_m` away, that the walls of the piece from a keyframe on fit as well."""
+
+    keyframe: int
+    away_m: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
     """A piece of the way, `way_m` long, that walls did not fix: how far it led was guessed.
@@ -107,7 +115,9 @@ class Evidence:
     `trajectory` is that of all scans in the finished layout, `keyframes_ns` the stamps of the
     keyframes, `breaks` the numbers of those at which tracking started afresh. `beyond` of them did
     not fit into the largest grid allowed. `warnings` are of reading and registration, `holes` those
-    of the recording, `stretches` what of its way was guessed. Recordings after the first one begin
+    of the recording, `stretches` what of its way was guessed. Of pieces after ways that nothing
+    measured `fitting` are the first keyframes of those that fit here alone, `rivals` other places
+    of others. Recordings after the first one begin
     with the keyframes `starts`. `mounting` is the place of the laser on the base by the log.
     """
 
@@ -119,6 +129,8 @@ class Evidence:
     warnings: tuple[str, ...]
     holes: tuple[Hole, ...] = ()
     stretches: tuple[Stretch, ...] = ()
+    fitting: Collection[int] = ()
+    rivals: tuple[Rival, ...] = ()
     starts: tuple[int, ...] = ()
     mounting: Pose2 = IDENTITY
 

@@ -227,6 +227,7 @@ def of_recording(evidence: Evidence) -> list[Finding]:
         unmoved,
         breaks,
         unwatched,
+        rival_places,
         noted,
         unmeasured_way,
         laser_misplaced,
@@ -361,37 +362,19 @@ def left_out(evidence: Evidence) -> Iterator[Finding]:
 
 
 def rival_places(evidence: Evidence) -> Iterator[Finding]:
-    """Pieces after an unmeasured hole or break that several refuted closures put elsewhere.
+    """Pieces after ways that nothing measured, whose walls fit elsewhere, too.
 
-    Where nothing measured the way, closures and passes alone say where the robot was afterwards. In
-    a building whose wings look alike many of them may agree and be wrong. Then the few that lead to
-    the right place were refuted; but they agree, too, which chance hardly makes.
+    In a building whose wings look alike many closures may agree on the wrong one.
     """
-    poses = evidence.layout.poses
-    starts = {hole.keyframe for hole in evidence.holes if hole.measured is None}
-    if not evidence.measured.any():
-        starts |= set(evidence.breaks)
-    for start in sorted(start for start in starts if start < len(evidence.keyframes_ns)):
-        across = [
-            link
-            for link in evidence.layout.dropped
-            if link.kind == "closure" and (link.source < start) != (link.target < start)
-        ]
-        votes, motion = _most_agreed(across, poses)
-        if votes < _LEAST:
-            continue
-        away = compose(invert(poses[start]), compose(motion, poses[start]))
-        away_m = float(np.hypot(away[0], away[1]))
-        where = evidence.at_keyframe(start)
+    for rival in evidence.rivals:
+        where = evidence.at_keyframe(rival.keyframe)
         yield Finding(
             code=RIVAL,
             severity="doubtful",
-            message=f"{counted(votes, 'refuted loop closure')} agree that what follows "
-            f"{told(where)} lies {away_m:.1f} m elsewhere, and nothing measured the way "
-            "there: parts of the building look alike",
+            message=f"the walls of what follows {told(where)} fit {rival.away_m:.1f} m elsewhere, "
+            "too, and nothing measured the way there: parts of the building look alike",
             advice="record odometry, and without holes",
-            value=float(votes),
-            limit=float(_LEAST),
+            value=rival.away_m,
             where=where,
         )
 
@@ -456,5 +439,5 @@ def narrow_links(driven: int, narrow: int, radius_m: float) -> Iterator[Finding]
 
 def of_layout(evidence: Evidence) -> list[Finding]:
     """What is to be said of a layout, of one recording or of several."""
-    checks = (loose_parts, moved_parts, rival_places, maybe_back, refused_layout, walls, left_out)
+    checks = (loose_parts, moved_parts, maybe_back, refused_layout, walls, left_out)
     return [finding for check in checks for finding in check(evidence)]

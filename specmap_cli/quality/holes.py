@@ -49,7 +49,11 @@ _ADVICE: dict[HoleKind, str] = {
 
 def unwatched(evidence: Evidence) -> Iterator[Finding]:
     """Holes after which nothing shows that the robot was where the map has it."""
-    doubts = [(hole, doubt) for hole in evidence.holes if (doubt := _doubt(hole))]
+    doubts = [
+        (hole, doubt)
+        for hole in evidence.holes
+        if hole.keyframe not in evidence.fitting and (doubt := doubt_of(hole))
+    ]
     starts = np.unique(np.array([hole.keyframe for hole, _ in doubts], dtype=np.int64))
     joined = _joined(evidence.layout, starts)
     for hole, doubt in doubts:
@@ -89,7 +93,7 @@ def noted(evidence: Evidence) -> Iterator[Finding]:
                 "session, and is mapped as one drive"
             )
             advice = "build a map of the first one, and add the others with `specmap update`"
-        elif driven or _doubt(hole):
+        elif driven or doubt_of(hole):
             continue
         else:
             message = (
@@ -107,7 +111,7 @@ def noted(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _doubt(hole: Hole) -> str:
+def doubt_of(hole: Hole) -> str:
     """Why the motion over a hole is not known; nothing where it is.
 
     It is where odometry moved as the map did, or the robot stood among the same walls: one that was

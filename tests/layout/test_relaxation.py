@@ -389,17 +389,16 @@ def test_a_trajectory_may_end_before_the_keyframes_do(store: KeyframeStore) -> N
 STRAIGHT = np.column_stack([np.arange(8.0), np.zeros((8, 2))])
 
 
-@pytest.mark.parametrize("forward_m", [1.0, 0.0])
-def test_guesses_lead_from_the_scan_before_to_the_one_after(forward_m: float) -> None:
-    """Tracking went straight on; it turned up 2 m aside, 1 m farther. At rest scans spread it."""
-    tracked = STRAIGHT * forward_m
-    lost = np.isin(np.arange(8), [2, 3, 4])
-    relaxed = np.array(tracked)
+@pytest.mark.parametrize("hole_s", [0, 6])
+def test_guesses_lead_from_the_scan_before_to_the_one_after(hole_s: int) -> None:
+    """Tracking went straight on; it turned up 2 m aside, 1 m farther: most of it in the hole."""
+    lost, relaxed = np.isin(np.arange(8), [2, 3, 4]), np.array(STRAIGHT)
     relaxed[5:] += (1.0, 2.0, 0.4)
-    found = bridged(relaxed, tracked, lost)
+    stamps = 10**9 * (np.arange(8) + np.where(np.arange(8) < 2, 0, hole_s))
+    found = bridged(relaxed, Trajectory(stamps, STRAIGHT, lost=lost))
     np.testing.assert_array_equal(found[~lost], relaxed[~lost])
-    share = np.array([0.25, 0.5, 0.75])
-    np.testing.assert_allclose(found[lost], tracked[lost] + share[:, None] * (1.0, 2.0, 0.4))
+    share = (np.array([1, 2, 3]) + hole_s) / (4 + hole_s)
+    np.testing.assert_allclose(found[lost], STRAIGHT[lost] + share[:, None] * (1.0, 2.0, 0.4))
 
 
 @pytest.mark.parametrize("rows", [slice(0, 3), slice(5, 8), slice(0, 8), slice(0, 0)])
@@ -407,7 +406,8 @@ def test_guesses_without_an_end_stay(rows: slice) -> None:
     lost = np.zeros(8, dtype=np.bool_)
     lost[rows] = True
     moved = STRAIGHT + (3.0, 1.0, 0.0)
-    np.testing.assert_array_equal(bridged(moved, STRAIGHT, lost), moved)
+    way = Trajectory(np.arange(8), STRAIGHT, lost=lost)
+    np.testing.assert_array_equal(bridged(moved, way), moved)
 
 
 @pytest.fixture(scope="module")

@@ -219,6 +219,8 @@ def test_odometry_or_the_same_walls_must_tell_where_the_robot_was(
         "afterwards is a guess"
     )
     assert finding.where == Where(50 * 10**9, 50.0, 0.0)
+    known = replace(evidence(hole(measured, apart, alike)), fitting={100})
+    assert list(unwatched(known)) == [], "all that follows fits there, and nowhere else"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove
-from specmap_cli.quality.evidence import Evidence, Stretch, stretches_of
+from specmap_cli.quality.evidence import Evidence, Rival, Stretch, stretches_of
 from specmap_cli.quality.findings import maybe_back, rival_places
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
@@ -328,37 +328,31 @@ def claim(older: int, newer: int, motion: Pose2) -> Link:
     return link(older, newer, a.inverse() @ motion @ b, kind="closure")
 
 
-def rivals(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
-    measured = POSES if odometry else np.full_like(POSES, np.nan)
-    left_out = {"dropped": tuple(refuted)}
-    base = evidence_of(POSES, odometry=measured, layout=left_out, breaks=(BREAK,))
-    return [finding.message for finding in rival_places(base)]
+def test_another_place_of_what_nothing_measured_the_way_to_is_told() -> None:
+    base = replace(evidence_of(POSES, breaks=(BREAK,)), rivals=(Rival(BREAK, 17.94),))
+    (told,) = rival_places(base)
+    assert (told.severity, told.code, told.value) == ("doubtful", "rival-place", 17.94)
+    assert told.message.startswith("the walls of what follows 30.000 s fit 17.9 m elsewhere, too")
 
 
-def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
-    agreeing = [claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE @ NEARLY)]
-    (message,) = rivals([*agreeing, claim(5, 45, Pose2(-9.0, 4.0, 2.0))])
-    assert message.startswith("2 refuted loop closures agree that what follows 30.000 s lies ")
-    at_start = Pose2(*POSES[BREAK].tolist())
-    away = (at_start.inverse() @ ELSEWHERE @ at_start).distance
-    assert f"lies {away:.1f} m elsewhere" in message
-    backwards = [(one.target, one.source, one.source_from_target.inverse()) for one in agreeing]
-    assert rivals([link(*one, kind="closure") for one in backwards]) == [message]
-    assert rivals(agreeing, odometry=True) == [], "where odometry measured the way"
+def maybe(found: Sequence[Link]) -> list[Finding]:
+    alone = tuple(replace(one, kind="nearby") for one in found)
+    why = {(one.source, one.target): "alone" for one in alone}
+    return list(maybe_back(laid(evidence_of(POSES), dropped=alone, why=why)))
 
 
 @pytest.mark.parametrize(
-    "refuted",
+    "found",
     [
         [claim(3, 40, ELSEWHERE)],
         [claim(3, 40, ELSEWHERE), claim(8, 50, Pose2(-9.0, 4.0, 2.0))],
         [claim(3, 40, ELSEWHERE), claim(3, 50, ELSEWHERE)],  # one view, two matches with it
         [claim(3, 40, NEARLY), claim(8, 50, NEARLY)],  # nearly where it is
-        [claim(3, 10, ELSEWHERE), claim(8, 20, ELSEWHERE)],  # on one side of the break
     ],
 )
-def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
-    assert rivals(refuted) == []
+def test_what_does_not_agree_on_another_place_is_not_told(found: list[Link]) -> None:
+    assert maybe([claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE @ NEARLY)])
+    assert maybe(found) == []
 
 
 def test_walls_found_elsewhere_too_few_times_to_go_by_are_told() -> None:
@@ -375,13 +369,13 @@ def test_walls_found_elsewhere_too_few_times_to_go_by_are_told() -> None:
         assert not list(maybe_back(laid(evidence_of(POSES), **changed)))
 
 
-def test_the_memory_does_not_grow_with_the_square_of_the_refuted_closures() -> None:
-    refuted = [claim(k % BREAK, BREAK + k % BREAK, ELSEWHERE) for k in range(1000)]
+def test_the_memory_does_not_grow_with_the_square_of_the_refuted_links() -> None:
+    found = [claim(k % BREAK, BREAK + k % BREAK, ELSEWHERE) for k in range(1000)]
     tracemalloc.start()
     try:
-        (message,) = rivals(refuted)
+        (told,) = maybe(found)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert message.startswith("30 refuted loop closures agree")
+    assert told.value == 30.0
     assert peak < 5e6, "one motion a pair of them is 24 MB"

@@ -29,6 +29,7 @@ from specmap_cli.recognition.closure.verification import (
     MIN_OVERLAP,
     MIN_WALL_M,
     RIVAL_M,
+    RIVAL_RAD,
     PreparedGrid,
     agreement,
     are_rivals,
@@ -57,7 +58,7 @@ _ROOMS, _LEAST_ROOMS_M = 3, 20.0
 _WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them: maps may touch back to back
 _LEAST_SCORE = 0.6  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
-_SLID_M = 1.01 * RIVAL_M
+_SLID_M, _OTHER_M = 1.01 * RIVAL_M, 2.0 * RIVAL_M
 _MOST_RIVAL = 0.7  # of what speaks for the best place: look-alike rows come near it
 _MOST_RESIDUAL_M = 0.25  # half of what a submap may lie off: by chance it lies anywhere in there
 
@@ -129,11 +130,6 @@ class CommonGround:
     at_odds: float
     residual_m: float
 
-    @property
-    def score(self) -> float:
-        """The share confirmed less twice the share contradicted."""
-        return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
@@ -156,7 +152,9 @@ class Alignment:
     `joints` are the pairs of submaps that match under it. `evidence_m` metres of wall speak for the
     best transform there was, `rival` is the share of it that the next best has, `ground` what both
     maps saw under it, `area_m2` the free space that both saw. The stretch of the new map whose
-    length was guessed is `longer_m` longer in that transform than in the map.
+    length was guessed is `longer_m` longer in that transform than in the map. `places` are the
+    transforms that may be believed, the best first: others for which nearly as much speaks, or
+    elsewhere as much as is enough alone; none when the best may not.
     """
 
     old_from_new: Pose2 | None
@@ -167,6 +165,7 @@ class Alignment:
     area_m2: float = 0.0
     rival: float = 0.0
     longer_m: float = 0.0
+    places: tuple[Pose2, ...] = ()
 
     @property
     def submaps(self) -> int:
@@ -203,14 +202,16 @@ def align(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()) -> 
         rival=max(0.0, rivals[0].evidence_m / best.evidence_m) if best.evidence_m > 0.0 else 1.0,
         longer_m=best.new.longer_m,
     )
-    why_not = _why_not(alignment, best, rivals[0])
+    why_not = _why_not(alignment)
+    if not why_not:
+        places = (best, *(one for one in rivals if _may_be(one, best, middle)))
+        alignment = replace(alignment, places=tuple(one.old_from_new for one in places))
+        if alignment.rival > _MOST_RIVAL:
+            why_not = _ambiguous(best, rivals[0])
     if why_not:
         return replace(alignment, old_from_new=None, reason=why_not, joints=())
-    reason = (
-        f"aligned: {best.evidence_m:.0f} m of wall speak for it, "
-        f"{best.area_m2:.0f} m2 are in both maps"
-    )
-    return replace(alignment, reason=reason + told_length(best.new.longer_m))
+    told = f"{best.evidence_m:.0f} m of wall speak for it, {best.area_m2:.0f} m2 are in both maps"
+    return replace(alignment, reason=f"aligned: {told}{told_length(best.new.longer_m)}")
 
 
 def told_length(longer_m: float) -> str:
@@ -309,11 +310,12 @@ class _Search:
         return _Candidate(pose, min(*known, _WALLS_PER_M2 * area_m2), area_m2, self.map)
 
 
-def _why_not(found: Alignment, best: _Candidate, rival: _Candidate) -> str:
-    """Why a transform is not to be believed; empty when it is."""
+def _why_not(found: Alignment) -> str:
+    """Why a transform is not to be believed, whatever else fits; empty when it is."""
     ground = found.ground
     assert ground is not None
-    if ground.score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
+    score = ground.confirmed - CONTRADICTION_WEIGHT * ground.contradicted
+    if score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
         return (
             f"what both maps saw does not agree: where they fit best, {ground.confirmed:.0%} of "
             f"the walls are in both and {ground.contradicted:.0%} stand in free space of the other"
@@ -328,15 +330,26 @@ def _why_not(found: Alignment, best: _Candidate, rival: _Candidate) -> str:
             f"the maps have too little in common: {found.evidence_m:.0f} m of wall and "
             f"{found.area_m2:.0f} m2: a few rooms that look alike may be of two buildings"
         )
-    if found.rival > _MOST_RIVAL:
-        ends = zip(best.ends, rival.ends, strict=True)
-        away = max((a.inverse() @ b for a, b in ends), key=lambda motion: motion.distance)
-        turn = math.degrees(abs(wrap_angle(away.theta)))
-        return (
-            f"ambiguous: the maps fit in more than one way, {away.distance:.1f} m "
-            f"and {turn:.0f} degrees apart"
-        )
     return ""
+
+
+def _may_be(rival: _Candidate, best: _Candidate, middle: Pose2) -> bool:
+    """Whether another transform may be right, too: one that is slid along its walls is none.
+
+    A map that has more in common with the wrong one of two equal rows fits better there.
+    """
+    away = (best.old_from_new @ middle).inverse() @ rival.old_from_new @ middle
+    elsewhere = away.distance > _OTHER_M or abs(away.theta) > RIVAL_RAD
+    enough = elsewhere and rival.evidence_m >= _LEAST_M
+    return enough or rival.evidence_m > _MOST_RIVAL * best.evidence_m
+
+
+def _ambiguous(best: _Candidate, rival: _Candidate) -> str:
+    """That another transform fits as well, and how far away it is."""
+    ends = zip(best.ends, rival.ends, strict=True)
+    away = max((a.inverse() @ b for a, b in ends), key=lambda motion: motion.distance)
+    apart = f"{away.distance:.1f} m and {math.degrees(abs(away.theta)):.0f} degrees apart"
+    return f"ambiguous: the maps fit in more than one way, {apart}"
 
 
 class _Map:

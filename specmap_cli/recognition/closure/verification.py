@@ -149,7 +149,8 @@ def wall_directions(grid: GridMap) -> NDArray[np.complex128]:
     """(K,) Fourier series of how much wall runs in each direction, modulo a half turn, smoothed.
 
     From the gradient of the blurred picture of the obstacles: twice its angle is the same for a
-    wall and for its back. The product of two series is that of their circular correlation.
+    wall and for its back. The product of one series and the conjugate of another is that of their
+    circular correlation.
     """
     picture = cv2.GaussianBlur(grid.occupied.astype(np.float32), (0, 0), _WALL_BLUR_CELLS)
     dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)

@@ -1,0 +1,81 @@
+"""What follows a way that nothing measured: where its walls fit, and what is told of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.layout.audit import Agreement
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.pipelines.pieces import Pieces, pieces_placed
+from specmap_cli.pipelines.session import Session
+from tests.layout.driving import (
+    SECOND_LAP,
+    building,
+    moved_from,
+    round_trip,
+    scans_of,
+    stored,
+    worst,
+)
+
+ELSEWHERE = (9.0, -4.0, 2.0)  # a motion of the map
+
+
+def placed(world: GridMap, motion: tuple[float, float, float], end: int | None = None) -> Pieces:
+    """Two laps in a building; the second is laid out elsewhere, and nothing measured the way."""
+    truth = round_trip()[:end]
+    poses, breaks = moved_from(SECOND_LAP, truth, motion), {SECOND_LAP: None}
+    with stored(poses, scans_of(world, truth)) as store:
+        found = relax(store, (), breaks, Config().relaxation)
+        wrong = replace(found, poses=poses, agreement=Agreement(agree=900, contradict=100))
+        tracked = Trajectory(np.array(store.stamps_ns), store.poses)
+        return pieces_placed(Session(Config(), store), Pieces(wrong, (), breaks), tracked)
+
+
+def bare() -> GridMap:
+    """The ring alone, which is the same turned round."""
+    cells = np.full((300, 380), OCCUPIED, dtype=np.uint8)
+    cells[30:270, 30:350] = FREE
+    cells[70:230, 70:310] = OCCUPIED
+    return GridMap(cells, 0.05)
+
+
+def test_a_piece_is_moved_to_where_its_walls_fit() -> None:
+    found = placed(building(), ELSEWHERE)
+    assert worst(found.layout.poses, round_trip()) < 0.3
+    assert found.fitting == {SECOND_LAP}
+    assert not found.rivals
+    assert not found.layout.loose
+    assert len(found.ties) >= 3
+    assert set(found.ties) <= set(found.layout.kept)
+
+
+def test_a_piece_that_lies_where_it_fits_stays_and_is_sure() -> None:
+    found = placed(building(), (0.1, 0.1, 0.01))
+    assert found.fitting == {SECOND_LAP}
+    assert not found.rivals
+    assert not found.ties
+
+
+def test_of_a_piece_that_fits_twice_nobody_can_tell_where_it_lies() -> None:
+    found = placed(bare(), (0.0, 0.0, 0.0))
+    (rival,) = found.rivals
+    turned = Pose2(19.0, 15.0, np.pi)  # about the middle of the ring
+    there = round_trip()[SECOND_LAP:, :2].mean(axis=0)[None]
+    assert rival.keyframe == SECOND_LAP
+    assert abs(rival.away_m - np.hypot(*(turned.apply(there) - there)[0])) < 0.5
+    assert not found.fitting
+    assert not found.ties
+
+
+def test_a_few_metres_say_nothing() -> None:
+    found = placed(building(), ELSEWHERE, end=SECOND_LAP + 60)
+    assert not found.fitting
+    assert not found.rivals
+    assert not found.ties
