@@ -176,7 +176,7 @@ def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Pa
         stations = graph.graph["stations"]
         names = {room.id: f"Submap{room.id}" for room in stored.rooms.values() if room.anchor}
         assert stations.keys() == set(names.values())
-        shown = {one["stationName"] for one in stations.values()}
+        shown = {one.station_name for one in stations.values()}
         assert shown == {room.name for room in stored.rooms.values()}
         lengths_agree(graph, stored, names, "length_m")
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
