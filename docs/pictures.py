@@ -1,7 +1,7 @@
-"""Makes the pictures of the documents from the sample logs: `make pictures`.
+"""Makes the pictures of the documents: `make pictures`.
 
-docs/images/compare.png is not made here: it is of the changed office that
-`benchmarks.simulated.comparison` simulates.
+From the sample logs, from the changed office that `benchmarks.simulated.comparison` simulates, and
+from a real recording where `SPECMAP_DATA` names a folder that has it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.data import missing, recording
 from benchmarks.making.recordings import write
 from benchmarks.making.spoiling import kidnapped
+from benchmarks.simulated.comparison import changes
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -89,6 +91,14 @@ def main() -> None:
             write(carried, iter, out / "carried.mcap")
         specmap("build", out / "carried.mcap", "-o", out / "doubtful")
         put(out / "doubtful" / "overview.png", "doubtful.png")
+        changes(out)
+        specmap("compare", out / "before", out / "after", "-o", out / "changes")
+        put(out / "changes" / "compare.png", "compare.png")
+        if missing(["logs"]):
+            print(IMAGES / "csail.png", "stays as it is: SPECMAP_DATA has no real recording")
+        else:
+            specmap("build", recording("mit_csail"), "-o", out / "csail")
+            put(out / "csail" / "overview.png", "csail.png")
 
 
 if __name__ == "__main__":
