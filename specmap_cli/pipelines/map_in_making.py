@@ -32,7 +32,7 @@ from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.findings import LAYOUT_CODES, of_layout
+from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.sampling import TrainingData
@@ -218,9 +218,7 @@ def laid_out_of_stored(stored: Map) -> LaidOut:
             },
         },
         logs=stored.logs,
-        findings=tuple(
-            one for one in quality_of_stored(stored).findings if one.code not in LAYOUT_CODES
-        ),
+        findings=tuple(filter(is_of_recording, quality_of_stored(stored).findings)),
         next_id=topology.next_id,
         drawn=stored.map_grid,
         division=Packed.of(stored.regions.owner),

@@ -437,6 +437,14 @@ def narrow_links(driven: int, narrow: int, radius_m: float) -> Iterator[Finding]
         )
 
 
+def is_of_recording(finding: Finding) -> bool:
+    """Whether a finding of a stored map stays when it is laid out anew: it is of a recording.
+
+    What is told of its layout is found again. Of rival places those have a limit.
+    """
+    return finding.code not in LAYOUT_CODES or (finding.code == RIVAL and finding.limit is None)
+
+
 def of_layout(evidence: Evidence) -> list[Finding]:
     """What is to be said of a layout, of one recording or of several."""
     checks = (loose_parts, moved_parts, maybe_back, refused_layout, walls, left_out)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import networkx as nx
@@ -19,9 +20,11 @@ def load(path: Path) -> nx.DiGraph:
     """The nodes and edges of a layout, its `stations` by their nodes; edges have `length_m`."""
     collection = consumer("vdma_lif.parser").LIFParser.from_file(str(path))
     known, told = collection.to_dict(), json.loads(path.read_text(encoding="utf-8"))
+    stamp = told["metaInformation"]["exportTimestamp"]
     stamps = [one["metaInformation"].pop("exportTimestamp")[:19] for one in (known, told)]
     assert known == told
     assert stamps[0] == stamps[1]
+    assert re.fullmatch(r"[\d-]{10}T[\d:]{8}\.\d\dZ", stamp), "ISO 8601 in UTC"
     (layout,) = collection.layouts
     stations = {one.interaction_node_ids[0]: one for one in layout.stations}
     graph = nx.DiGraph(stations=stations)

@@ -16,7 +16,7 @@ from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove
 from specmap_cli.quality.evidence import Evidence, Rival, Stretch, stretches_of
-from specmap_cli.quality.findings import maybe_back, rival_places
+from specmap_cli.quality.findings import is_of_recording, maybe_back, rival_places
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -333,6 +333,7 @@ def test_another_place_of_what_nothing_measured_the_way_to_is_told() -> None:
     (told,) = rival_places(base)
     assert (told.severity, told.code, told.value) == ("doubtful", "rival-place", 17.94)
     assert told.message.startswith("the walls of what follows 30.000 s fit 17.9 m elsewhere, too")
+    assert is_of_recording(told), "it stays when another recording is added"
 
 
 def maybe(found: Sequence[Link]) -> list[Finding]:
@@ -378,4 +379,5 @@ def test_the_memory_does_not_grow_with_the_square_of_the_refuted_links() -> None
     finally:
         tracemalloc.stop()
     assert told.value == 30.0
+    assert not is_of_recording(told), "it is found anew"
     assert peak < 5e6, "one motion a pair of them is 24 MB"
