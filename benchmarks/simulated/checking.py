@@ -113,7 +113,9 @@ SPOILED: Mapping[str, Kind] = {
         spoil=s.chained(s.first_scans_spoiled(150), s.without_odometry),
     ),
     "hole in the log": Kind(
-        "row-5-3", frozenset({"findings.hole-in-log"}), spoil=s.kidnapped(40.0, 30.0)
+        "row-5-3",
+        frozenset({"findings.hole-in-log"}),
+        spoil=s.chained(s.until(85.0), s.kidnapped(40.0, 30.0)),
     ),
     "odometry of another robot": Kind(
         "row-4-10", frozenset({"findings.odometry-disagrees"}), spoil=s.foreign_odometry(-1.0)

@@ -40,6 +40,8 @@ SPREAD_TEMPERATURE = 0.02
 SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
 
+_SCORE_STEP = 1e-4  # of scores of single precision, whose rounding is some hundred times finer
+
 _APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
 
@@ -126,7 +128,8 @@ def search_everywhere(
     reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
     # periodic, and so wide that what reaches over one end does not meet what is at the other
     shape = tuple(cv2.getOptimalDFTSize(side + 2 * reach) for side in coarse.values.shape)
-    spectrum = np.fft.rfft2(coarse.values.astype(np.float64), shape)
+    sides = ((0, side - own) for side, own in zip(shape, coarse.values.shape, strict=True))
+    spectrum = cv2.dft(np.pad(coarse.values, tuple(sides)))
     x, y = coarse.origin
     found: list[tuple[float, float, float, float]] = []
     for angle in angles:
@@ -134,19 +137,21 @@ def search_everywhere(
         # points in cells that are centred on the middle; those before it come in at the far ends
         columns, rows = np.floor(turned / cell + 0.5).astype(np.intp).T
         cells = (rows % shape[0]) * shape[1] + columns % shape[1]
-        picture = np.bincount(cells, minlength=math.prod(shape)).reshape(shape) / len(local)
-        sums = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(picture)), shape, norm="forward")
-        sums *= 1.0 / math.prod(shape)
-        # peaks, which no neighbour passes in single precision, the highest first, then by row
-        single = sums.astype(np.float32)
-        peaks = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
-        worse = -sums.ravel()[peaks]
+        picture = np.zeros(shape, dtype=np.float32)
+        np.add.at(picture.reshape(-1), cells, 1.0 / (_SCORE_STEP * len(local)))
+        both = cv2.mulSpectrums(spectrum, cv2.dft(picture), 0, conjB=True)
+        scores = cv2.idft(both, flags=cv2.DFT_REAL_OUTPUT | cv2.DFT_SCALE)
+        np.rint(scores, out=scores)  # whole steps: rounding in single precision makes no peaks
+        # peaks, which no neighbour passes, the highest first, then by row
+        highest = cv2.dilate(scores, np.ones((3, 3), dtype=np.uint8))
+        peaks = np.flatnonzero(scores == np.maximum(highest, 1.0))
+        worse = -scores.ravel()[peaks]
         if count < len(peaks):  # most are not worth to be put in order
             least = worse <= np.partition(worse, count - 1)[count - 1]
             peaks, worse = peaks[least], worse[least]
         peaks = peaks[np.argsort(worse, kind="stable")[:count]]
         for row, column in (divmod(peak, shape[1]) for peak in peaks.tolist()):
-            value = float(sums[row, column])
+            value = _SCORE_STEP * float(scores[row, column])
             # shifts past the field are negative ones
             row -= shape[0] if row > (shape[0] + coarse.values.shape[0]) // 2 else 0
             column -= shape[1] if column > (shape[1] + coarse.values.shape[1]) // 2 else 0

@@ -55,6 +55,20 @@ class Link:
     information: FloatArray
     kind: LinkKind
 
+    @classmethod
+    def closure(
+        cls, source: int, target: int, seen: Pose2, sigma_m: float, sigma_rad: float
+    ) -> Link:
+        """A closure: the target, `seen` from the source with this spread of place and heading."""
+        information = np.diag(1.0 / np.array([sigma_m, sigma_m, sigma_rad]) ** 2)
+        return cls(
+            source=source,
+            target=target,
+            source_from_target=seen,
+            information=information,
+            kind="closure",
+        )
+
 
 class LinkArrays(NamedTuple):
     """Links as arrays: `i`, `j` (E,) rows of the poses, `z` (E, 3), `w` (E, 3, 3).

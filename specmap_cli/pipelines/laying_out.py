@@ -175,8 +175,6 @@ def constraints_of(
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
     """
-    sigma = np.array([_CLOSURE_SIGMA_M, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD])
-    information = np.diag(1.0 / sigma**2)
     found = {}
     for closure in closures:
         if not closure.merged or closure.old_from_new is None:
@@ -190,12 +188,8 @@ def constraints_of(
         seen = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
         before = store.pose(source).inverse() @ store.pose(old[i])
         back = store.pose(new[j]).inverse() @ store.pose(target)
-        found[closure.old, closure.new] = Link(
-            source=source,
-            target=target,
-            source_from_target=before @ seen @ back,
-            information=information,
-            kind="closure",
+        found[closure.old, closure.new] = Link.closure(
+            source, target, before @ seen @ back, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD
         )
     return found
 

@@ -31,7 +31,7 @@ from specmap_cli.recognition.closure.verification import are_rivals
 # Way of a piece that is looked at: out of a room, and this share of the drive.
 _LEAST_M, _LEAST_SHARE = 10.0, 0.05
 _BESIDE_M = 2.0  # between ways that a tie joins: walls around both are the same
-_TIE_INFORMATION = np.diag([1e2, 1e2, 2.5e3])  # of where whole maps fit: 0.1 m, 0.02 rad
+_TIE_SIGMA_M, _TIE_SIGMA_RAD = 0.1, 0.02  # spread of where whole maps fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +114,6 @@ def _ties(layout: Layout, start: int, end: int, motion: Pose2) -> tuple[Link, ..
         best = int(own[away[own].argmin()])
         i = int(before[nearest[best]])
         seen = compose(invert(layout.poses[i]), moved[best])
-        ties.append(
-            Link(
-                source=i,
-                target=int(after[best]),
-                source_from_target=Pose2(*seen.tolist()),
-                information=_TIE_INFORMATION,
-                kind="closure",
-            )
-        )
+        ends = i, int(after[best])
+        ties.append(Link.closure(*ends, Pose2(*seen.tolist()), _TIE_SIGMA_M, _TIE_SIGMA_RAD))
     return tuple(ties)

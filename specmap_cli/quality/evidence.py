@@ -117,8 +117,8 @@ class Evidence:
     not fit into the largest grid allowed. `warnings` are of reading and registration, `holes` those
     of the recording, `stretches` what of its way was guessed. Of pieces after ways that nothing
     measured `fitting` are the first keyframes of those that fit here alone, `rivals` other places
-    of others. Recordings after the first one begin
-    with the keyframes `starts`. `mounting` is the place of the laser on the base by the log.
+    of others. Recordings after the first one begin with the keyframes `starts`. `mounting` is the
+    place of the laser on the base by the log.
     """
 
     trajectory: Trajectory

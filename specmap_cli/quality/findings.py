@@ -89,7 +89,7 @@ def unmoved(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             code=INPUT,
             severity="note",
-            message="the robot did not move: nothing confirms what it saw from one place",
+            message="the robot did not leave its place: nothing confirms what it saw from there",
         )
 
 
