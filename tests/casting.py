@@ -1,7 +1,5 @@
 """What a laser would measure at many poses, all rays cast at once: a tenth of the time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A comparison of two maps of a building, for what is made of one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from specmap_cli.maps.comparison import ComparisonRecord

@@ -1,7 +1,5 @@
 """Worlds and recordings that several test modules share; each is made once a session."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Iterator

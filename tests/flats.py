@@ -1,7 +1,5 @@
 """What tests know of maps of the small flat: how they are built, and what is kept of a build."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A small building: a corridor and two rooms, mapped without a robot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Packages that other people would install, made on the spot, and files that belong to none."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import sys

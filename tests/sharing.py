@@ -1,7 +1,5 @@
 """Recordings and maps that many tests look at: made once for all workers of a run."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Hypothesis strategies for the records of the shared floor."""
 
-from __future__ import annotations
-
 import math
 import os
 

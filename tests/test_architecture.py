@@ -1,7 +1,5 @@
 """The house rules: which part may import which, and what no part may do."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

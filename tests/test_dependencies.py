@@ -1,7 +1,5 @@
 """What the project stands on: declared, pinned at both ends, documented, and nothing else."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

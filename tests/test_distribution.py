@@ -1,7 +1,5 @@
 """Wheel and source archive hold the package and its data alone; what is no release is refused."""
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the documents say exists: functions, settings, tests, options, and the files linked to."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

@@ -1,7 +1,5 @@
 """What a library user needs: few names, loaded late, with the example that the page shows."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

@@ -4,8 +4,6 @@
 one is recorded by `python -m tests.test_promises`.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """The site of the documents: every page has a place, links hold, nothing comes from outside."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import os

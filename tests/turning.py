@@ -1,7 +1,5 @@
 """Constants of the package turned for a test, where nothing else shows what they do."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ A log is text: words that say what happens, and anything else. It is a process o
 real one is.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

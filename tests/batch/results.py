@@ -1,7 +1,5 @@
 """Results of jobs that never ran, for tests of what is done with them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

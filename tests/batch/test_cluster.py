@@ -1,7 +1,5 @@
 """A batch on workers of Dask: in this process, on this machine, and behind another scheduler."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

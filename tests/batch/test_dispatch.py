@@ -1,7 +1,5 @@
 """Which job is handed out when, with workers that do as they are told; and the events of it."""
 
-from __future__ import annotations
-
 import json
 from collections import deque
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Which jobs there are: of logs, directories, patterns, stores, TOML files; their summaries."""
 
-from __future__ import annotations
-
 import csv
 import io
 import pickle

@@ -1,7 +1,5 @@
 """A batch beside somebody else on the machine: no port, no file that he may write, no link."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What a worker does with a job: done, done already, failed in every way, and killed."""
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing

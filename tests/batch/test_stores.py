@@ -1,7 +1,5 @@
 """Stores that fsspec knows, and temporary directories: whole, private, and killed in between."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import json

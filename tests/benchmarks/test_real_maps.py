@@ -1,7 +1,5 @@
 """Maps laid on each other by their walls, and probabilities that keep their word or do not."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The scoreboard: rows and their bars, sections that are measured once, pages and what changed."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

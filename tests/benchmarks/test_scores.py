@@ -1,7 +1,5 @@
 """Plans drawn at random, and scores of maps and divided plans: by hand and by scikit-learn."""
 
-from __future__ import annotations
-
 from itertools import groupby, pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of rules; figures of the small house under rules, against a golden map; the reports."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

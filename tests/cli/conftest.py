@@ -1,7 +1,5 @@
 """A tiny log and its map, made once a session, and a way to run a command and see what it says."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -5,8 +5,6 @@ writes sends its arguments, its directory, its environment and its three streams
 ends as the fork does that runs them.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """`specmap batch` as a user runs it: workers of this machine, a good log and bad ones."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The examples for CI servers and cron: their shell steps run, with the command line alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -5,8 +5,6 @@ of two rooms, with few rounds of training, without its picture and its features.
 another tour.
 """
 
-from __future__ import annotations
-
 import shutil
 import zipfile
 from pathlib import Path

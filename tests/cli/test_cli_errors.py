@@ -1,7 +1,5 @@
 """Errors: one line on stderr; with `--json` an object on stdout, too. A bug keeps its traceback."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

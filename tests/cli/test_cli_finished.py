@@ -1,7 +1,5 @@
 """Commands on a finished map: check, edit, export and report, as a person and a CI run them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """`specmap localize`: whose settings hold, and offline labels; and `specmap evaluate`."""
 
-from __future__ import annotations
-
 from itertools import count
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs that cannot be used, or only in part: one line, the exit code, nothing left behind."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -3,8 +3,6 @@
 A map that was damaged is taken for a merge as far as it is whole, or refused in one line.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The options that all commands share: who has them, and that they mean the same everywhere."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

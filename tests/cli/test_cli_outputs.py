@@ -1,7 +1,5 @@
 """What commands write: complete or not at all, never over an input, the same bytes every time."""
 
-from __future__ import annotations
-
 import filecmp
 import json
 import os

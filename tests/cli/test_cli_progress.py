@@ -1,7 +1,5 @@
 """Progress: bars on a terminal, lines now and then where there is none."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -4,8 +4,6 @@ Beside the commands here, everything that a test of the command line prints with
 to its schema: see `run` in conftest.py.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module

@@ -1,7 +1,5 @@
 """A run that is interrupted, or for which there is too little of the disk or of the memory."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import resource

@@ -1,7 +1,5 @@
 """What the command line says of itself, and what it answers to a wrong line."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

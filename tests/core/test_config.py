@@ -1,7 +1,5 @@
 """Settings: what goes over what, and one clear line for what cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The error tree as its docstring draws it, findings and their verdict; files, plugins, threads."""
 
-from __future__ import annotations
-
 import errno
 import inspect
 import itertools

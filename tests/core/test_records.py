@@ -1,7 +1,5 @@
 """Records between stages, arrays of them, and rigid motions, against other libraries."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

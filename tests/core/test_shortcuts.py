@@ -1,7 +1,5 @@
 """How far it is along a way that is tied to itself."""
 
-from __future__ import annotations
-
 import math
 
 import networkx as nx

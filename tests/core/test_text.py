@@ -1,7 +1,5 @@
 """Numbers, JSON, YAML and tables as text: the same bytes for the same values, and back."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

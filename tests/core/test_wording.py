@@ -1,7 +1,5 @@
 """What a validation finds is told in our words, whatever pydantic calls it."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """What can be seen in a picture, how eyes see its colours, and small maps to draw."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

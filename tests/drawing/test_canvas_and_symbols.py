@@ -1,7 +1,5 @@
 """Pens on paper, and symbols on the ground of a map: where they are, and what is cut off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

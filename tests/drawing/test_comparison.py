@@ -1,7 +1,5 @@
 """The picture of two maps: what is only in one of them has its colour, and names itself."""
 
-from __future__ import annotations
-
 from unittest.mock import Mock
 
 import pytest

@@ -1,7 +1,5 @@
 """The picture of a map: regions, graph and way of the robot; sheets to scale, and what they say."""
 
-from __future__ import annotations
-
 import itertools
 import tracemalloc
 from dataclasses import replace

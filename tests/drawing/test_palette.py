@@ -1,7 +1,5 @@
 """Colours: neighbours are told apart, letters are legible, and the choice is always the same."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

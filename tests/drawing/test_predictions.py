@@ -1,7 +1,5 @@
 """Predicted submaps along a trajectory, and their confusion matrices."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

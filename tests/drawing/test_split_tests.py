@@ -1,7 +1,5 @@
 """Pictures of what the segmentation looked at: nodes, ways, sight lines and eigenvalues."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Table II's scores against scikit-learn, hold-outs, revisits, Figure 5c; known trajectories."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

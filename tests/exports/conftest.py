@@ -1,7 +1,5 @@
 """Maps to export: the small house as it is, with ways and scans, and a flat divided into rooms."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

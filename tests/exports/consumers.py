@@ -1,7 +1,5 @@
 """Programs that read what is exported; a test of one that is not installed is skipped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -6,8 +6,6 @@ are, others are unknown; the keepout filter wants base 0 and multiplier 1; to th
 unknown cell is an error, 0 no limit, and type 2 metres a second.
 """
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Beyond a schema: nothing else is in the file, ids are unique, edges lead between
 have a node, and no list of vehicles is empty.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -6,8 +6,6 @@ that meets its line. `graph_of` reads a nav graph as fleet adapters do (rmf_ros2
 02f9d6a): names are there once, lanes lead between vertices of their level.
 """
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path

@@ -9,8 +9,6 @@ Of navigation2: geojson_graph_file_loader.cpp (1293655); distance, penalty and s
 (08718d0).
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

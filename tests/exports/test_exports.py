@@ -1,7 +1,5 @@
 """Exports read back by the consumers' code: tables, GTSAM, Rerun, LCAS, and one from outside."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

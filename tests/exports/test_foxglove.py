@@ -3,8 +3,6 @@
 These are compared with those of Foxglove's SDK.
 """
 
-from __future__ import annotations
-
 import math
 import weakref
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Nav2's route graph and masks, Open-RMF and LIF, read by their rules and equal to the map."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The fuzzer: some of its cases and pairs pass, and it notices every kind of failure."""
 
-from __future__ import annotations
-
 import os
 import signal
 import tempfile

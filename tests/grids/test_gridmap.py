@@ -1,7 +1,5 @@
 """Grid maps: cells, windows, distances, rays, bent motions; they claim what beams have proved."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

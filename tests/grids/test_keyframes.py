@@ -1,7 +1,5 @@
 """Keyframes: which scans are one, their store on disk, and which a map can do without."""
 
-from __future__ import annotations
-
 import math
 import os
 import tracemalloc

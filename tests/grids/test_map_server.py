@@ -1,7 +1,5 @@
 """Occupancy grids as files: the convention of map_server, and pictures within bounds."""
 
-from __future__ import annotations
-
 import os
 import re
 import struct

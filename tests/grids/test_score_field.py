@@ -1,7 +1,5 @@
 """Score fields, the way to a match on them, its search and answers, and what walls fix."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """A robot that drove one and a half laps through the ring; made once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

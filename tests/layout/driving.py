@@ -1,7 +1,5 @@
 """A ring of corridor to drive in, and graphs made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Views of passes that contradict each other: found, told from people, and counted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

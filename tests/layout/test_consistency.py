@@ -1,7 +1,5 @@
 """Closures judged together, in large loops of which the truth is known; the largest clique."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import networkx as nx

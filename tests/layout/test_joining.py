@@ -1,7 +1,5 @@
 """Two recordings of one building laid out as one, and a layout without some of its keyframes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Passes: which pairs of nodes are matched along the path, far and near, and what comes of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The graph of the path: its nodes, its parts, the way between them, and how far to trust it."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The layout of a drifting robot: consistent again, poses between, lost parts, the map's frame."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The solver against scipy's least squares and by hand; the graph as text; drafts solved."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The walls around nodes, their sides, what was seen free; walls matched with walls of the ring."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import astuple

@@ -1,7 +1,5 @@
 """A recording made on the spot and its messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

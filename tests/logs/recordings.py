@@ -1,7 +1,5 @@
 """Writing recordings in every format, damaging them, and reading what is left."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import sqlite3

@@ -1,7 +1,5 @@
 """Stamps that say nothing, odometry by another clock, and odometry between stamps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

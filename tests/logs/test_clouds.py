@@ -1,7 +1,5 @@
 """Clouds: of every layout, the times of their points, the floor they show, planar lasers."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

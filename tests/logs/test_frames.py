@@ -1,7 +1,5 @@
 """Choosing topics, frames and one of several lasers, from what there is; the tree of frames."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import re

@@ -1,7 +1,5 @@
 """The look at a log as `build` would, what it will meet, and how `info` tells it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

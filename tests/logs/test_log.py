@@ -1,7 +1,5 @@
 """What all recordings share, and several joined to one log: surveys, damage, order in time."""
 
-from __future__ import annotations
-
 import heapq
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Messages and the writer against other codecs and readers; converting, and rubbish."""
 
-from __future__ import annotations
-
 import errno
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Opening files and directories, packed ones too: a clear line for what is none, little memory."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import os

@@ -1,7 +1,5 @@
 """Scans and clouds made planar, against direct geometry in space; readings that are no walls."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

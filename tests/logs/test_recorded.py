@@ -1,7 +1,5 @@
 """The public recordings, where they are at hand: set SPECMAP_DATA to their folder."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

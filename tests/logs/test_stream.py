@@ -1,7 +1,5 @@
 """The stream of sweeps: odometry, frames, stamps, counts, and memory."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A map directory of the small building of `tests.house`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """edits.toml: what a person writes is read, refused in one line, and written without losing it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

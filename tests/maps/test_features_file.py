@@ -1,7 +1,5 @@
 """features.npz: written and read back, and refused in one line when it is damaged or too large."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable, Mapping

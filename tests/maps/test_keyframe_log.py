@@ -3,8 +3,6 @@
 Its scans are on evenly spaced beams, as a LaserScan carries them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress

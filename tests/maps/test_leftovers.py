@@ -3,8 +3,6 @@
 Runs that are killed at any moment are tried in `tests/cli/test_cli_kills.py`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

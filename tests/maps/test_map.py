@@ -1,7 +1,5 @@
 """What a program asks a map: its rooms, doors, routes, graph and way. It can change nothing."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import sys

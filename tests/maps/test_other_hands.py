@@ -1,7 +1,5 @@
 """Maps that other hands touch meanwhile: other commands, people, neighbours, a power cut."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 Maps of schema 1 are read; `topology_1.json` is `tests.house` as that version wrote it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """labels.csv and trajectory.tum: written as others read them, and read back whole."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Topological maps as the records of topology.json, and back; its models and its JSON Schema."""
 
-from __future__ import annotations
-
 import json
 import math
 import ntpath

@@ -1,7 +1,5 @@
 """The page of the paper's figures: its parts on a small building, and its frame by itself."""
 
-from __future__ import annotations
-
 import base64
 import importlib.util
 import re

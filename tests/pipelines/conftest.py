@@ -1,7 +1,5 @@
 """Three days of the flat, on the third of which something has changed, and another building."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Algorithm 1 and what follows it, on a simulated flat, and stages of a build by themselves."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import math

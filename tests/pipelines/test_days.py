@@ -1,7 +1,5 @@
 """Maps of several days: one building or two, rooms that stay the same, and what changed."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

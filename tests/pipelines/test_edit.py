@@ -1,7 +1,5 @@
 """A person's word about a map: applied, kept, undone, and still there after an update."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

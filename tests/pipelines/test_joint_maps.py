@@ -1,7 +1,5 @@
 """What two maps become in one: the edits of both, and rooms that both only half understood."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

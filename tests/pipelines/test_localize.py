@@ -1,7 +1,5 @@
 """Localising a log in a map of the flat: the whole way, and what the report says of it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

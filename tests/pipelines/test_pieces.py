@@ -1,7 +1,5 @@
 """What follows a way that nothing measured: where its walls fit, and what is told of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dividing a finished map: from a picture to a directory, and what it says of itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

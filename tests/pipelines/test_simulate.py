@@ -1,7 +1,5 @@
 """Simulated recordings: what is written is what was simulated, and always the same."""
 
-from __future__ import annotations
-
 import shlex
 from collections import Counter
 from collections.abc import Iterator

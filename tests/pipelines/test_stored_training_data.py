@@ -1,7 +1,5 @@
 """Training data in a map directory: kept, used by what comes after, let go where it errs."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

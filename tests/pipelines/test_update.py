@@ -1,7 +1,5 @@
 """A map takes in another log; maps made one, in any order; a map in the frame of another."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import shutil

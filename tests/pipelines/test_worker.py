@@ -1,7 +1,5 @@
 """Work done ahead in a child process: the same items, the same errors, and nothing left behind."""
 
-from __future__ import annotations
-
 import copyreg
 import multiprocessing
 import os

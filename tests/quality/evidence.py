@@ -1,7 +1,5 @@
 """What a verdict is made of, for a drive in which nothing is wrong but what is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

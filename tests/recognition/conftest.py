@@ -1,7 +1,5 @@
 """Rooms and the grids that a robot makes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache

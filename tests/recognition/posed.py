@@ -1,7 +1,5 @@
 """Scans at poses, and plans as a robot maps them: walls that it saw, and nothing behind them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The same bytes on every processor: a build under several kernels of the linear algebra."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

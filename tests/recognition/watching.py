@@ -1,7 +1,5 @@
 """Calls that are counted while they do what they always do."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

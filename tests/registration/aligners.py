@@ -1,7 +1,5 @@
 """Registration methods for tests: one that does nothing by itself, one that does as it is told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field
 from typing import cast

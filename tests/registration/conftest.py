@@ -1,7 +1,5 @@
 """The world that the simulated drives of this room go through."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

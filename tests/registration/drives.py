@@ -1,7 +1,5 @@
 """Simulated drives for the front end: true paths, what a laser saw along them, how it was found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

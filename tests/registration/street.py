@@ -1,7 +1,5 @@
 """A street of boxes, seen by a lidar of many rings on a fast vehicle: ray casting in space."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The front end on simulated drives and a real log: accurate, honest about losses and limits."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import os

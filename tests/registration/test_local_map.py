@@ -1,7 +1,5 @@
 """A sweep in front of the local map: its score, its alignment kernel by kernel, its search."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """From the guess to the best pose: which searches are made, which guess is taken, what slips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

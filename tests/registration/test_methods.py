@@ -1,7 +1,5 @@
 """KISS-ICP as a registration method, one from another package, and specmap without kiss-icp."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

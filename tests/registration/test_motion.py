@@ -1,7 +1,5 @@
 """The motion expected from sweep to sweep: odometry's unless it jumped, else the motion before."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

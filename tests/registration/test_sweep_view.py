@@ -1,7 +1,5 @@
 """What a sweep offers to registration: cut to range, in the base frame, thinned evenly."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

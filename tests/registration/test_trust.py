@@ -1,7 +1,5 @@
 """Whether a result is believed: what the walls say of it, and whether it agrees with the motion."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

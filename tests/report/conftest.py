@@ -1,7 +1,5 @@
 """Pages of the small house, and of a map that was built of a recording; each made once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

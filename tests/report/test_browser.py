@@ -1,7 +1,5 @@
 """The page in a real browser, where one is installed: as people use it."""
 
-from __future__ import annotations
-
 import pytest
 
 from specmap_cli.maps.store import Map

@@ -1,7 +1,5 @@
 """The page as text: everything there, everything escaped, nothing from elsewhere."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

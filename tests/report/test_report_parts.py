@@ -1,7 +1,5 @@
 """What the page is made of: places, outlines, way, colours, html; and what is found out for it."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import shutil

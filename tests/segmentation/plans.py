@@ -1,7 +1,5 @@
 """Floor plans drawn in code, turned, and whether two divisions are one."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Cells and furniture, on small grids with known answers or against loops."""
 
-from __future__ import annotations
-
 import itertools
 
 import cv2

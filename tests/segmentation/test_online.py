@@ -1,7 +1,5 @@
 """Splitting while the robot moves, on tours with true poses; single tests of a way; its submap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The division of a map: properties of any map, plans of known answers, and rings of corridors."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The pieces of eq. 1 and Algorithm 2, and of large graphs, against slow versions of themselves."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace

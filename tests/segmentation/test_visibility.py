@@ -1,7 +1,5 @@
 """Nodes and sight lines, on small grids with known answers or against loops."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Wide openings in the line of a wall, and furniture that stands at one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

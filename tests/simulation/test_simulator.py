@@ -1,7 +1,5 @@
 """The simulator: its lasers, planar and 3D, its odometry, its options, and tours of all of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

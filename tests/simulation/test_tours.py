@@ -1,7 +1,5 @@
 """Tours cover all reachable space, by paths on which the robot fits, in worlds and their rooms."""
 
-from __future__ import annotations
-
 from itertools import pairwise, permutations
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rooms drawn in code, with the submap of each cell given by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap

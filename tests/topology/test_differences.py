@@ -1,7 +1,5 @@
 """What differs between two maps where both saw, which submap is which, and moved borders."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

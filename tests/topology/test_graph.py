@@ -1,7 +1,5 @@
 """The topology of the submap of each keyframe, what a new log inherits, and moved borders."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Collection, Sequence
 from dataclasses import replace

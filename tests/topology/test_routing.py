@@ -1,7 +1,5 @@
 """Routes through plans whose doors are known: the length, what they go through, and why not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

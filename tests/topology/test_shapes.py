@@ -1,7 +1,5 @@
 """The outlines of regions, what a submap is by its shape, and the division of cells."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

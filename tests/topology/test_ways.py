@@ -1,7 +1,5 @@
 """Doors of plans that are known to the centimetre, anchors, and ways; some are forbidden."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """CARMEN logs: laser and odometry lines, their stamps, mountings and damage."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import Counter

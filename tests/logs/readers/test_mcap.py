@@ -1,7 +1,5 @@
 """MCAP files: what their index says, and single records that are damaged or out of place."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from pathlib import Path

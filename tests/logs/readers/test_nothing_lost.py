@@ -1,7 +1,5 @@
 """Every variety of a recording: whole, cut off, and damaged anywhere without a loss unsaid."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """rosbag2's directories and SQLite files and ROS 1 bags: what is peculiar to each, and damage."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sqlite3

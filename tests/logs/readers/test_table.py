@@ -1,7 +1,5 @@
 """The table of readers, and the documented example of one as a package of its own."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import tempfile

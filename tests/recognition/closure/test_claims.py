@@ -1,7 +1,5 @@
 """Claims of eq. 4 and 5 against classifiers trained by hand, and what a match of grids is worth."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Loop closure: what is claimed, what is verified, what merges, and what must not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

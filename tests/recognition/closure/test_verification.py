@@ -1,7 +1,5 @@
 """Do two grids show the same place? What is prepared of them, the search, and the judgement."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The returns of scans, and their features: plain loops, NumPy, SciPy and OpenCV."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import combinations, pairwise

@@ -1,7 +1,5 @@
 """Feature sets: one table of them, what the settings may name, and sets of other packages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Virtual scans: of the window behind the robot, cast from a grid, and from beside the way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

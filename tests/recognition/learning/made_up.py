@@ -1,7 +1,5 @@
 """Made-up submaps: samples that differ in a few columns."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from specmap_cli.core.config import load_config

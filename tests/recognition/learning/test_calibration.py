@@ -1,7 +1,5 @@
 """How sure margins are, what held-out scans say of it, and which scans look like no place."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Classifiers of a map: one against all, the sensor, files edited by hand into nonsense."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Training for localisation: which scans are learned from, made beside the way, and kept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The hidden Markov filter against sums over all paths, views of scans, and clues to unknown."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from itertools import pairwise, product
 

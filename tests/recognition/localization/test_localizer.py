@@ -1,7 +1,5 @@
 """Localisation: training from keyframes, then another tour, by the same laser or another one."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import re

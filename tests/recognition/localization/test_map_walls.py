@@ -1,7 +1,5 @@
 """Scans against walls: own places fit, people hide nothing, and walls that are gone tell."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

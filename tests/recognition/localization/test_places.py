@@ -1,7 +1,5 @@
 """Weighed places: which of several leads, how a carried robot is found, and how good a pose is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
