@@ -170,12 +170,15 @@ def test_the_example_of_a_node_feeds_the_localizer(
                 )
                 heard[0](message)
 
-    def subscribe(_kind: Any, _topic: str, callback: Any, _depth: int) -> None:
+    def subscribe(_kind: Any, _topic: str, callback: Any, quality: str) -> None:
+        assert quality == "best effort"  # as drivers of lasers send
         heard.append(callback)
 
     node = SimpleNamespace(create_subscription=subscribe)
     ros = SimpleNamespace(init=lambda: None, create_node=lambda _: node, spin=spin)
     monkeypatch.setitem(sys.modules, "rclpy", ros)
+    service = SimpleNamespace(qos_profile_sensor_data="best effort")
+    monkeypatch.setitem(sys.modules, "rclpy.qos", service)
     monkeypatch.setitem(sys.modules, "sensor_msgs", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "sensor_msgs.msg", SimpleNamespace(LaserScan=object))
     monkeypatch.setattr(sys, "argv", ["localizer_node.py", str(flat_map.path)])

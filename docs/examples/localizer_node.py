@@ -4,9 +4,10 @@ import sys
 
 import numpy as np
 import rclpy
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
-from specmap_cli import Localizer, Scan
+from specmap_cli import Localizer, Scan, SpecmapError
 
 localizer = Localizer(sys.argv[1])
 
@@ -26,11 +27,15 @@ def heard(message: LaserScan) -> None:
         range_max=message.range_max,
         beam_s=message.time_increment,
     )
-    found = localizer.add(scan)
-    print(found.room, found.map_from_base)
+    try:
+        found = localizer.add(scan)
+    except SpecmapError as error:
+        node.get_logger().warning(str(error))
+    else:
+        print(found.room, found.map_from_base)
 
 
 rclpy.init()
 node = rclpy.create_node("room")
-node.create_subscription(LaserScan, "scan", heard, 10)
+node.create_subscription(LaserScan, "scan", heard, qos_profile_sensor_data)
 rclpy.spin(node)
