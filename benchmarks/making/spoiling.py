@@ -102,18 +102,6 @@ def dropped(start_s: float, seconds: float) -> Spoiling:
     return drop
 
 
-def until(end_s: float) -> Spoiling:
-    """The recording ends there."""
-
-    def end(sweeps: Sweeps) -> Iterator[Sweep]:
-        for after_s, sweep in clocked(sweeps):
-            if after_s >= end_s:
-                return
-            yield sweep
-
-    return end
-
-
 def slipping(start_s: float, seconds: float, factor: float) -> Spoiling:
     """Wheels that turn faster than the robot moves for a while: motions are told longer."""
 

@@ -9,6 +9,7 @@ break the rule that says what is wrong. All rules are the defaults.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ SPOILED: Mapping[str, Kind] = {
     "hole in the log": Kind(
         "row-5-3",
         frozenset({"findings.hole-in-log"}),
-        spoil=s.chained(s.until(85.0), s.kidnapped(40.0, 30.0)),
+        spoil=s.chained(s.dropped(85.0, math.inf), s.kidnapped(40.0, 30.0)),
     ),
     "odometry of another robot": Kind(
         "row-4-10", frozenset({"findings.odometry-disagrees"}), spoil=s.foreign_odometry(-1.0)

@@ -111,7 +111,8 @@ def update(
     """Add another recording of the building to its map.
 
     Every submap of the map keeps its id, its name and its border. Only new space is divided, and
-    gets ids that no submap ever had. A recording that fits nowhere is refused.
+    gets ids that no submap ever had. A recording that fits nowhere is refused. The settings are
+    those of the map, but for topics and frames; --config and --set change some of them.
 
     \b
     specmap update out tomorrow.mcap -o out2

@@ -117,7 +117,7 @@ def search_everywhere(
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
     metres: no guess is needed, drift of any size does not matter. The poses are good to about a
     step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
-    +- a step, or `refine`. Scores are upper bounds, pooled.
+    +- a step, or `refine`. Scores are upper bounds, pooled; a pose without any is not returned.
     """
     if not len(points):
         return []
@@ -128,8 +128,9 @@ def search_everywhere(
     reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
     # periodic, and so wide that what reaches over one end does not meet what is at the other
     shape = tuple(cv2.getOptimalDFTSize(side + 2 * reach) for side in coarse.values.shape)
-    sides = ((0, side - own) for side, own in zip(shape, coarse.values.shape, strict=True))
-    spectrum = cv2.dft(np.pad(coarse.values, tuple(sides)))
+    walls = np.zeros(shape, dtype=np.float32)
+    walls[tuple(map(slice, coarse.values.shape))] = coarse.values
+    spectrum = cv2.dft(walls)
     x, y = coarse.origin
     found: list[tuple[float, float, float, float]] = []
     for angle in angles:

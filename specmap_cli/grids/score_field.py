@@ -209,9 +209,12 @@ def _field_values(empty: NDArray[np.uint8], resolution: float, sigma: float) -> 
     """exp(-d^2 / 2 sigma^2) of the distance d from each cell to the nearest zero cell."""
     if empty.all():
         return np.zeros(empty.shape, dtype=np.float32)
-    cells = cv2.distanceTransform(empty, cv2.DIST_L2, cv2.DIST_MASK_5)
-    squares = np.square(cells * np.float32(resolution / (sigma * math.sqrt(2.0))))
-    return np.asarray(np.exp(-np.minimum(squares, _LARGEST_EXPONENT)), dtype=np.float32)
+    values = np.asarray(cv2.distanceTransform(empty, cv2.DIST_L2, cv2.DIST_MASK_5), np.float32)
+    values *= np.float32(resolution / (sigma * math.sqrt(2.0)))  # in place: it is large
+    np.square(values, out=values)
+    np.minimum(values, _LARGEST_EXPONENT, out=values)
+    np.negative(values, out=values)
+    return np.exp(values, out=values)
 
 
 def descend(

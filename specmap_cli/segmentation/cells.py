@@ -20,6 +20,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import (
     BoolArray,
+    CellArray,
     LengthArray,
     bands_of,
     contacts,
@@ -37,7 +38,7 @@ _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, 
 _BY_ONE = np.array([-1, 0, 1])  # rows, or columns: a cell and those round it
 _AT_ONCE = 1 << 16  # cells that are looked round at in one go: bounds the memory
 _BESIDE = 1.5  # cells, from one to those round it
-_TILE, _AROUND_TILE = 1024, 128  # cells, both even: a tile is flooded with what is around it
+_TILE, _AROUND_TILE = 1024, 128  # cells: a tile is flooded with what is around it
 _NEAR_TILE, _NEAR = 256, 32  # cells looked at together for the nearest label, and how far at first
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
@@ -46,32 +47,50 @@ _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the 
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
 
 
-def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
+def relief_of(clearance: LengthArray) -> CellArray:
+    """(h, w) the heights that labels flood: they fall as the clearance grows; 0 for what is a wall.
+
+    OpenCV's watershed takes cells by the difference between neighbours, so heights stand on a
+    checkerboard of signs.
+    """
+    relief = np.empty(clearance.shape, dtype=np.uint8)
+    top = max(float(clearance.max(initial=0.0)), _TINY)
+    for rows in bands_of((len(clearance), clearance.shape[1] * 16)):
+        height = np.divide(clearance[rows], -top, dtype=np.float64)
+        height += 1.0
+        height *= _LEVELS
+        low = np.rint(height, out=height).astype(np.uint8)
+        odd = (np.arange(rows.start, rows.stop)[:, None] + np.arange(low.shape[1])) % 2 == 1
+        relief[rows] = np.where(odd, low + np.uint8(_LEVELS + 2), np.uint8(_LEVELS + 1) - low)
+        relief[rows][clearance[rows] <= 0.0] = 0
+    return relief
+
+
+def flood_labels(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached.
 
     A large map is flooded a tile after the other, each with what is around it: a front comes from a
     node of its own block of cells, or of one near by, and tiles without free space cost nothing.
     """
-    found = np.full(clearance.shape, -1, dtype=np.int16)
-    top = float(clearance.max(initial=0.0))
-    for row, column in product(*(range(0, side, _TILE) for side in clearance.shape)):
-        shown = window_of(clearance[row : row + _TILE, column : column + _TILE] > 0.0)
+    found = np.full(relief.shape, -1, dtype=np.int16)
+    for row, column in product(*(range(0, side, _TILE) for side in relief.shape)):
+        shown = window_of(relief[row : row + _TILE, column : column + _TILE] > 0)
         if shown is None:
             continue
         corner = [first + part.start for first, part in zip((row, column), shown, strict=True)]
         size = [part.stop - part.start for part in shown]
-        low = np.maximum(np.array(corner) // 2 * 2 - _AROUND_TILE, 0)  # even: as of the whole map
+        low = np.maximum(np.array(corner) - _AROUND_TILE, 0)
         high = np.add(corner, size) + _AROUND_TILE
         near = ((nodes >= low) & (nodes < high)).all(axis=1)
         if near.any():
-            around = clearance[low[0] : high[0], low[1] : high[1]]
-            flooded = _watershed(around, nodes[near] - low, labels[near], top)
+            around = relief[low[0] : high[0], low[1] : high[1]]
+            flooded = _watershed(around, nodes[near] - low, labels[near])
             own, there = (
                 tuple(slice(at, at + side) for at, side in zip(corner - shift, size, strict=True))
                 for shift in (low, np.zeros(2, dtype=np.intp))
             )
             found[there] = flooded[own]
-    spread_labels(found, clearance > 0.0)
+    spread_labels(found, relief > 0)
     return found
 
 
@@ -84,49 +103,36 @@ def flooded_at(
     """
     low = np.minimum(nodes.min(axis=0), cells.min(axis=0))
     high = np.maximum(nodes.max(axis=0), cells.max(axis=0)) + 1
-    clearance, nodes = clearance[low[0] : high[0], low[1] : high[1]], nodes - low
-    top = float(clearance.max(initial=0.0))
-    flooded, cells = _watershed(clearance, nodes, labels, top), cells - low
+    relief, nodes = relief_of(clearance[low[0] : high[0], low[1] : high[1]]), nodes - low
+    flooded, cells = _watershed(relief, nodes, labels), cells - low
     found = np.asarray(flooded[tuple(cells.T)])
-    lines = np.flatnonzero((found < 0) & (clearance[tuple(cells.T)] > 0.0))
+    lines = np.flatnonzero((found < 0) & (relief[tuple(cells.T)] > 0))
     found[lines] = flooded.take(_around(cells[lines], flooded.shape)).max(axis=1)
     if (found[lines] >= 0).all():
         return found
-    spread_labels(flooded, clearance > 0.0)
+    spread_labels(flooded, relief > 0)
     return np.asarray(flooded[tuple(cells.T)])
 
 
-def _watershed(
-    clearance: LengthArray, nodes: IndexArray, labels: LabelArray, top: float
-) -> LabelArray:
+def _watershed(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels flooded from the nodes (n, 2); -1 on the lines between two of them and apart.
 
-    Meyer's watershed: two fronts meet where the passage is narrowest, as height falls with the
-    clearance from `top` on. OpenCV takes cells by the difference between neighbours, so heights
-    stand on a checkerboard of signs; a second channel makes the step into a wall the last.
+    Meyer's watershed: two fronts meet where the passage is narrowest, as the relief is highest
+    there. A second channel makes the step into a wall the last.
     """
-    rows, columns = clearance.shape
+    rows, columns = relief.shape
+    free = relief > 0
     picture = np.full((rows + 2, columns + 2, 3), (0, 255, 0), dtype=np.uint8)
-    for some in bands_of((rows, columns * 16)):
-        ground = clearance[some]
-        height = np.divide(ground, -max(top, _TINY), dtype=np.float64)
-        height += 1.0
-        height *= _LEVELS
-        relief = np.rint(height, out=height).astype(np.uint8)
-        odd = (np.arange(some.start, some.stop)[:, None] + np.arange(columns)) % 2 == 1
-        relief = np.where(odd, relief + np.uint8(_LEVELS + 2), np.uint8(_LEVELS + 1) - relief)
-        wall = ground <= 0.0
-        relief[wall] = 0
-        inner = picture[some.start + 1 : some.stop + 1, 1:-1]
-        inner[:, :, 0], inner[:, :, 1] = relief, np.uint8(255) * wall
+    inner = picture[1:-1, 1:-1]
+    inner[:, :, 0], inner[:, :, 1] = relief, np.uint8(255) * ~free
     markers = np.zeros(picture.shape[:2], dtype=np.int32)
     markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
     cv2.watershed(picture, markers)
-    del picture
+    del picture, inner
     flooded = markers[1:-1, 1:-1].astype(np.int16)
     del markers
     flooded -= 1
-    flooded[(flooded < 0) | ~joined(clearance > 0.0, tuple(nodes.T), connectivity=8)] = -1
+    flooded[(flooded < 0) | ~joined(free, tuple(nodes.T), connectivity=8)] = -1
     return flooded
 
 

@@ -43,6 +43,7 @@ from specmap_cli.segmentation.cells import (
     labels_near,
     local_widths,
     nearest_labels,
+    relief_of,
     spread_labels,
     without_dead_ends,
 )
@@ -148,16 +149,17 @@ def _divided(
     del small, opened
     give_memory_back()
     clearance = clearance_of(space)
+    relief = relief_of(clearance)
     packed = [  # step 2: nothing is kept of the graphs
-        Packed.of(_placement(clearance, space, cell_m, config, block, number)[0])
+        Packed.of(_placement(clearance, relief, cell_m, config, block, number)[0])
         for number in range(1, config.placements)
     ]
-    first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
+    first, graph, spectrum = _placement(clearance, relief, cell_m, config, block, 0)
     give_memory_back()
     others = [one.array for one in packed]
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
-    del first, others, clearance
+    del first, others, clearance, relief
     give_memory_back()
     if config.merge:  # step 4
         open_rings(cells)
@@ -169,13 +171,13 @@ def _divided(
 
 def _placement(
     clearance: LengthArray,
-    space: BoolArray,
+    relief: CellArray,
     cell_m: float,
     config: SegmentationConfig,
     block: int,
     number: int,
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them."""
+    """The labels (n,) of the free cells by one placement of the nodes, and what led to them."""
     give_memory_back()  # the graph is the most memory of a large map
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
@@ -190,9 +192,9 @@ def _placement(
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
     if config.labels == "nearest":
-        cells = nearest_labels(space, nodes, clusters)
+        cells = nearest_labels(relief > 0, nodes, clusters)
     else:
-        cells = flood_labels(clearance, nodes, clusters)
+        cells = flood_labels(relief, nodes, clusters)
     if config.merge and len(clusters):  # clusters that no narrowing separates
         own = clearance[nodes[:, 0], nodes[:, 1]]
         # no wider than the disc that the longest sight line spans
@@ -202,8 +204,8 @@ def _placement(
             for label in range(int(clusters.max()) + 1)
         ]
         names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
-        return np.append(names, np.int16(-1))[cells[space]], graph, spectrum
-    return cells[space], graph, spectrum
+        return np.append(names, np.int16(-1))[cells[relief > 0]], graph, spectrum
+    return cells[relief > 0], graph, spectrum
 
 
 def regions_of(
@@ -383,8 +385,11 @@ def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
         views = [one.T if across else one for one in (hole, solid, cuts)]
         corners = [[one[::up, ::left] for one in views] for up in (1, -1) for left in (1, -1)]
         ends = [_cut(*one[:2]) for one in corners]
-        beside = [stop - start for _, start, stop in ends]
-        whole *= sides[across] + max(beside[0] + beside[1], beside[2] + beside[3])
+        widths = [stop - start for _, start, stop in ends]
+        beside = max(widths[0] + widths[1], widths[2] + widths[3])
+        if beside >= sides[across]:  # the floor is larger, whatever is on the other two sides
+            return
+        whole *= sides[across] + beside
     if 2 * sides[0] * sides[1] > whole:
         for (_, _, view), (row, start, stop) in zip(corners, ends, strict=True):
             view[row, start:stop] = True

@@ -118,12 +118,13 @@ def _meets_itself(ring: NDArray[np.int64]) -> bool:
     low, high = np.minimum(ring, ends), np.maximum(ring, ends)
     last = len(ring) - 1
     for number in range(last - 1):
-        others = slice(number + 2, last if number == 0 else last + 1)
+        others = np.arange(number + 2, last if number == 0 else last + 1)
+        near = (high[others] >= low[number]) & (low[others] <= high[number])
+        others = others[near.all(axis=1)]
         start, end = ring[number], ends[number]
-        near = ((high[others] >= low[number]) & (low[others] <= high[number])).all(axis=1)
         apart = _side(start, end, ring[others]) * _side(start, end, ends[others]) > 0
         aside = _side(ring[others], ends[others], start) * _side(ring[others], ends[others], end)
-        if (near & ~apart & (aside <= 0)).any():
+        if (~apart & (aside <= 0)).any():
             return True
     return False
 
@@ -259,6 +260,7 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
     if shown is None:
         return ()
     part = nobodys[shown].astype(np.uint8)
+    del nobodys
     _, pieces, figures, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
     areas = figures[:, cv2.CC_STAT_AREA] * grid.resolution**2
     found = []
@@ -304,6 +306,7 @@ def divide(
     passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
     for cells in (passable & ~fenced, passable):
         owner = flood(cells, owner)
+    del passable, entered, fenced, cells  # masks of the whole map, which what follows needs not
     owner[~whole.free] = 0
     owner -= 1
     return Regions.of(whole, owner)
@@ -322,18 +325,24 @@ def flood(passable: BoolArray, markers: OwnerArray) -> OwnerArray:
     time, over their sides; those on other cells stay. The largest that reaches a cell has it.
     """
     framed, around = np.pad(passable, 1), np.pad(markers, 1)
-    grown = framed & (around > 0)
-    framed &= ~grown
-    ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & grown)
-    empty, found, wide = framed.ravel(), around.ravel(), framed.shape[1]
-    steps = np.array([[-wide], [-1], [1], [wide]])
+    marked = framed & (around > 0)
+    framed &= ~marked
+    ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & marked)
+    found, wide = around.ravel(), framed.shape[1]
+    empty = framed.view(np.uint8).ravel()  # 1 is empty, 2 is reached by the ring that grows
     while len(ring):
-        beside = ring + steps
-        rows, columns = np.nonzero(empty[beside])
-        cells = beside[rows, columns]
-        np.maximum.at(found, cells, found[ring[columns]])
-        ring = np.unique(cells)
-        empty[ring] = False
+        grown_to = []
+        for step in (-wide, -1, 1, wide):  # one ring's cells on one side are all different
+            beside = ring + step
+            open_ = empty[beside]
+            reached = open_ > 0
+            cells = beside[reached]
+            found[cells] = np.maximum(found[cells], found[ring[reached]])
+            first = cells[open_[reached] == 1]
+            empty[first] = 2
+            grown_to.append(first)
+        ring = np.concatenate(grown_to)
+        empty[ring] = 0
     return around[1:-1, 1:-1]
 
 

@@ -32,6 +32,7 @@ from specmap_cli.segmentation.cells import (
     joined_wide,
     local_widths,
     nearest_labels,
+    relief_of,
     spread_labels,
     without_dead_ends,
 )
@@ -50,7 +51,7 @@ def test_flooding_fills_pieces_with_a_node_and_some_cells_alike(seed: int, asked
     clearance = clearance_of(free)
     nodes = sample_nodes(clearance, 9, 1.0, "clearest")[: 3 + 5 * (asked % 2)]
     labels = rng.permutation(len(nodes)).astype(np.int32)
-    flooded = flood_labels(clearance, nodes, labels)
+    flooded = flood_labels(relief_of(clearance), nodes, labels)
     _, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
     with_node = np.isin(piece, piece[nodes[:, 0], nodes[:, 1]]) & free
     np.testing.assert_array_equal(flooded >= 0, with_node)
@@ -59,7 +60,7 @@ def test_flooding_fills_pieces_with_a_node_and_some_cells_alike(seed: int, asked
     if len(nodes):
         found = flooded_at(clearance, nodes, labels, cells)
         np.testing.assert_array_equal(found, flooded[tuple(cells.T)])
-    assert (flood_labels(clearance, nodes[:0], labels[:0]) == -1).all()
+    assert (flood_labels(relief_of(clearance), nodes[:0], labels[:0]) == -1).all()
     assert (nearest_labels(free, nodes[:0], labels[:0]) == -1).all()
     part = np.array([[20, 10], [21, 60]])  # the flood looks no farther than nodes and cells lie
     free = dumbbell()
@@ -100,7 +101,7 @@ def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int)
     for world in range(seed, seed + 5):
         clearance = np.round(clearance_of(cluttered(world)), 1)
         nodes = sample_nodes(clearance, 19, 1.0, "clearest")
-        flooded = flood_labels(clearance, nodes, np.arange(len(nodes), dtype=np.int32))
+        flooded = flood_labels(relief_of(clearance), nodes, np.arange(len(nodes), dtype=np.int32))
         ways = narrowest(clearance, nodes)
         mine = np.take_along_axis(ways, np.maximum(flooded, 0)[None], axis=0)[0]
         step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
