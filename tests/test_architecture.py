@@ -188,7 +188,7 @@ def test_the_library_neither_prints_nor_exits_nor_runs_data() -> None:
 
 
 # Functions that hand any error on in another way than by raising it: to the parent, in words.
-TELLERS = {("pipelines/worker.py", "_portable")}
+TELLERS = {("core/worker.py", "_portable")}
 
 
 def handlers_in(path: Path) -> Iterator[ast.ExceptHandler]:

@@ -18,13 +18,13 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
+from specmap_cli.core.worker import ahead
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import TrajectoryRecorder, track
-from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import check_feature_sets
 
 if TYPE_CHECKING:  # slow to load: it is, while the other process reads and registers

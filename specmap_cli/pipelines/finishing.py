@@ -14,6 +14,7 @@ from typing import Any
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.text import legible
+from specmap_cli.core.worker import ahead
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
@@ -24,7 +25,6 @@ from specmap_cli.pipelines.learning import Prior, arrays_of, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.reports import run_record
 from specmap_cli.pipelines.session import Session
-from specmap_cli.pipelines.worker import ahead
 from specmap_cli.quality.findings import NARROW, narrow_links
 from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways

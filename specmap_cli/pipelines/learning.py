@@ -14,12 +14,12 @@ from specmap_cli.core.geometry import compose, invert, nearest_motion
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config, GridConfig
+from specmap_cli.core.worker import ahead
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.session import Session
-from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.calibration import (
     HeldOutMargins,

@@ -22,6 +22,7 @@ from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angles
 from specmap_cli.core.records import PlanarScan, PosedScan, Sweep, Trajectory
 from specmap_cli.core.settings import Config
+from specmap_cli.core.worker import Ahead
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.path_graph import chosen_nodes
@@ -41,7 +42,6 @@ from specmap_cli.pipelines.learning import Prior
 from specmap_cli.pipelines.map_in_making import Explored, FinishedMap, laid_out_of_stored
 from specmap_cli.pipelines.session import Session, Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, TrajectoryRecorder, track
-from specmap_cli.pipelines.worker import Ahead
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.segmentation.online import Region
 from specmap_cli.simulation.worlds import RoomTruth

@@ -21,14 +21,14 @@ import cv2
 import numpy as np
 import pytest
 
+from specmap_cli.core import worker as module
 from specmap_cli.core.errors import InputError, LogError, SpecmapError
 from specmap_cli.core.process import give_memory_back
+from specmap_cli.core.worker import ahead
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.writing import write_scans
 from specmap_cli.pipelines import finishing
-from specmap_cli.pipelines import worker as module
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.worker import ahead
 from tests.flats import QUICK, record_tour
 from tests.maps.test_store import files_in
 
@@ -74,6 +74,8 @@ def test_work_is_done_ahead_where_it_can_be(
     with ahead(lambda: pids(3)) as work:
         assert (set(work) != {os.getpid()}) == apart
         assert work.result == 3
+    with ahead(lambda: pids(3), worthwhile=False) as work:
+        assert set(work) == {os.getpid()}
 
 
 @pytest.mark.usefixtures("two_processors")
@@ -212,7 +214,7 @@ def test_small_items_travel_together_and_large_ones_alone() -> None:
 def test_a_killed_parent_leaves_no_child() -> None:
     code = """
 import os
-from specmap_cli.pipelines import worker as module
+from specmap_cli.core import worker as module
 module.processors = lambda: 2
 def work():
     while True:

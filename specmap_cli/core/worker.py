@@ -66,8 +66,10 @@ class Ahead(Generic[Item, Result]):
 
 
 @contextmanager
-def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahead[Item, Result]]:
-    """Run `produce()` ahead of its use, in a child process where there can be one.
+def ahead(
+    produce: Callable[[], Generator[Item, None, Result]], *, worthwhile: bool = True
+) -> Iterator[Ahead[Item, Result]]:
+    """Run `produce()` ahead of its use, in a child process where it is worth one and can have one.
 
     What `produce` changes in its process stays there: all that is needed of it must be yielded or
     returned. Its errors are raised here, where the items are taken. Leaving the block ends the
@@ -77,7 +79,8 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
     # breaks. It copies locks as other threads hold them: only the main thread forks.
     in_main = threading.current_thread() is threading.main_thread()
     alone = not multiprocessing.current_process().daemon
-    if sys.platform != "linux" or not in_main or not alone or processors() < 2:
+    possible = sys.platform == "linux" and in_main and alone and processors() > 1
+    if not (worthwhile and possible):
         yield Ahead(produce())
         return
     threads = cv2.getNumThreads()
