@@ -40,6 +40,7 @@ from specmap_cli.topology.topological_map import Line, Seen, SubmapKind
 
 _TOLERANCE = 2.0  # of the simplified contour, half cells
 _KEPT_AREA = 0.8  # share of its area that a simplified contour must keep
+_PAIRS_AT_ONCE = 1 << 18  # sides of a contour, two at a time: bounds the memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +117,19 @@ def _meets_itself(ring: NDArray[np.int64]) -> bool:
     """Whether two sides of a ring (N, 2), which are no neighbours, cross or touch: exactly."""
     ends = np.roll(ring, -1, axis=0)
     low, high = np.minimum(ring, ends), np.maximum(ring, ends)
-    last = len(ring) - 1
-    for number in range(last - 1):
-        others = np.arange(number + 2, last if number == 0 else last + 1)
-        near = (high[others] >= low[number]) & (low[others] <= high[number])
-        others = others[near.all(axis=1)]
-        start, end = ring[number], ends[number]
-        apart = _side(start, end, ring[others]) * _side(start, end, ends[others]) > 0
-        aside = _side(ring[others], ends[others], start) * _side(ring[others], ends[others], end)
-        if (~apart & (aside <= 0)).any():
+    for first in range(0, len(ring), many := 1 + _PAIRS_AT_ONCE // len(ring)):
+        some = slice(first, first + many)
+        across, along = (  # whether they are near each other, in columns and in rows
+            (a[some, None] <= b) & (a <= b[some, None]) for a, b in zip(low.T, high.T, strict=True)
+        )
+        one, other = np.nonzero(across & along)
+        one += first
+        distant = (other - one > 1) & (other - one < len(ring) - 1)
+        one, other = one[distant], other[distant]
+        apart = _side(ring[one], ends[one], ring[other]) * _side(ring[one], ends[one], ends[other])
+        aside = _side(ring[other], ends[other], ring[one])
+        aside *= _side(ring[other], ends[other], ends[one])
+        if ((apart <= 0) & (aside <= 0)).any():
             return True
     return False
 
