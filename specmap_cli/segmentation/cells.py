@@ -90,7 +90,7 @@ def flood_labels(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> La
                 for shift in (low, np.zeros(2, dtype=np.intp))
             )
             found[there] = flooded[own]
-    spread_labels(found, relief > 0)
+    spread_labels(found, relief)
     return found
 
 
@@ -110,7 +110,7 @@ def flooded_at(
     found[lines] = flooded.take(_around(cells[lines], flooded.shape)).max(axis=1)
     if (found[lines] >= 0).all():
         return found
-    spread_labels(flooded, relief > 0)
+    spread_labels(flooded, relief)
     return np.asarray(flooded[tuple(cells.T)])
 
 
@@ -136,17 +136,17 @@ def _watershed(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> Labe
     return flooded
 
 
-def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
+def nearest_labels(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) the label of the nearest node (n, 2) for every free cell, as in the paper."""
-    result = np.full(free.shape, -1, dtype=np.int16)
+    result = np.full(relief.shape, -1, dtype=np.int16)
     if len(nodes):
-        cells = np.argwhere(free)
-        result[free] = labels[cKDTree(nodes).query(cells)[1]]
+        cells = np.argwhere(relief)
+        result[tuple(cells.T)] = labels[cKDTree(nodes).query(cells)[1]]
     return result
 
 
 def spread_labels(
-    labels: LabelArray, free: BoolArray, rings: int = _RINGS, *, everywhere: bool = True
+    labels: LabelArray, free: BoolArray | CellArray, rings: int = _RINGS, *, everywhere: bool = True
 ) -> None:
     """Fill, in place, what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
@@ -154,7 +154,9 @@ def spread_labels(
     takes the nearest label of all, if they are to go `everywhere`. Time and memory go with the
     cells to fill, which are few, and not with the map.
     """
-    lacking = [np.argwhere(free[rows] & (labels[rows] < 0)) for rows in bands_of(labels.shape)]
+    lacking = [
+        np.argwhere((free[rows] > 0) & (labels[rows] < 0)) for rows in bands_of(labels.shape)
+    ]
     for rows, some in zip(bands_of(labels.shape), lacking, strict=True):
         some[:, 0] += rows.start
     cells = np.concatenate([np.zeros((0, 2), dtype=np.intp), *lacking])
@@ -169,7 +171,7 @@ def spread_labels(
         held = np.zeros(len(cells), dtype=np.bool_)
         for some, numbers in zip(_chunks(cells), _chunks(piece), strict=True):
             around = _around(some, labels.shape)
-            known = free.take(around) & (labels.take(around) >= 0)
+            known = (free.take(around) > 0) & (labels.take(around) >= 0)
             held[numbers[known.any(axis=1)]] = True
         cells = cells[held[piece]]
         if len(cells):

@@ -10,7 +10,9 @@ nobody entered lies open to the unknown. Corridors that go round are cut into th
 from __future__ import annotations
 
 import math
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import cv2
 import numpy as np
@@ -21,6 +23,7 @@ from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.core.worker import ahead
 from specmap_cli.grids.gridmap import (
     FREE,
     OCCUPIED,
@@ -58,7 +61,6 @@ from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters, split
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,
-    VisibilityGraph,
     sample_nodes,
     visibility_graph,
 )
@@ -66,6 +68,7 @@ from specmap_cli.segmentation.working_grid import upright_map
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 _ALCOVE_M2 = 2.0  # a dead end smaller than this is a part of the room it opens into
+_LARGE_CELLS = 1 << 17  # free ones of a map, of which a placement takes longer than a new process
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
 
 _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.5  # of the smallest robot, and how far beside it a room goes
@@ -113,7 +116,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     """
     upright = upright_map(grid, config.cell_m, config.node_step_m)
     work, cell_m = upright.grid, upright.grid.resolution
-    cells, graph, spectrum = _divided(work, config, upright.block)
+    cells, first = _divided(work, config, upright.block)
     least = config.clearance_m / cell_m
     if rooms:  # step 5
         cells = entered(cells, work, least)
@@ -129,16 +132,14 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     return Segmentation(
         labels=looked_up(names, fine),
-        nodes=upright.places(grid, graph.nodes),
-        node_labels=names[cells[tuple(graph.nodes.T)]],
-        pairs=graph.pairs,
-        spectrum=spectrum,
+        nodes=upright.places(grid, first.nodes),
+        node_labels=names[cells[tuple(first.nodes.T)]],
+        pairs=first.pairs,
+        spectrum=first.spectrum,
     )
 
 
-def _divided(
-    work: GridMap, config: SegmentationConfig, block: int
-) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
+def _divided(work: GridMap, config: SegmentationConfig, block: int) -> tuple[LabelArray, _Clusters]:
     """Steps 1 to 4 of `segment`: regions (h, w); and what the first placement led to."""
     cell_m = work.resolution
     small = furniture(work.free, cell_m, config)  # step 1
@@ -149,63 +150,100 @@ def _divided(
     del small, opened
     give_memory_back()
     clearance = clearance_of(space)
+    del space
     relief = relief_of(clearance)
-    packed = [  # step 2: nothing is kept of the graphs
-        Packed.of(_placement(clearance, relief, cell_m, config, block, number)[0])
-        for number in range(1, config.placements)
-    ]
-    first, graph, spectrum = _placement(clearance, relief, cell_m, config, block, 0)
-    give_memory_back()
-    others = [one.array for one in packed]
-    cells = np.full(space.shape, -1, dtype=np.int16)
-    cells[space] = consensus([first, *others])  # step 3
-    del first, others, clearance, relief
+    divisions, first = _divisions(clearance, relief, cell_m, config, block)  # step 2
+    cells = np.full(relief.shape, -1, dtype=np.int16)
+    cells[relief > 0] = consensus(divisions)  # step 3
+    del divisions, clearance
     give_memory_back()
     if config.merge:  # step 4
         open_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
-        cells = without_dead_ends(cells, clearance_of(space), least, alcove)
+        cells = without_dead_ends(cells, clearance_of(relief > 0), least, alcove)
     spread_labels(cells, waiting.array)
-    return cells, graph, spectrum
+    return cells, first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Clusters:
+    """The nodes (n, 2) of one placement, the pairs (m, 2) in sight, what Algorithm 2 says of them.
+
+    `labels` (n,) are its clusters or their halves, `widths` (k,) how wide each is, in cells.
+    """
+
+    nodes: IndexArray
+    pairs: IndexArray
+    spectrum: Spectrum
+    labels: LabelArray
+    widths: list[float]
+
+
+def _divisions(
+    clearance: LengthArray, relief: CellArray, cell_m: float, config: SegmentationConfig, block: int
+) -> tuple[list[LabelArray], _Clusters]:
+    """The labels (n,) of the free cells by each placement of the nodes; the clusters of the first.
+
+    Of a large map every other placement is made in a second process, where there can be one.
+    """
+
+    def packed(numbers: Iterable[int]) -> Generator[Packed, None, None]:
+        for number in numbers:
+            found = _placement(clearance, cell_m, config, block, number)
+            yield Packed.of(_labels(clearance, relief, found, config))
+
+    large = int(np.count_nonzero(relief)) >= _LARGE_CELLS
+    with ahead(lambda: packed(range(1, config.placements, 2)), worthwhile=large) as meanwhile:
+        even = list(packed(range(2, config.placements, 2)))
+        first = _placement(clearance, cell_m, config, block, 0)
+        labels = _labels(clearance, relief, first, config)
+        odd = list(meanwhile)
+    give_memory_back()
+    others = (one for pair in zip_longest(odd, even) for one in pair if one)
+    return [labels, *(one.array for one in others)], first
 
 
 def _placement(
-    clearance: LengthArray,
-    relief: CellArray,
-    cell_m: float,
-    config: SegmentationConfig,
-    block: int,
-    number: int,
-) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """The labels (n,) of the free cells by one placement of the nodes, and what led to them."""
-    give_memory_back()  # the graph is the most memory of a large map
+    clearance: LengthArray, cell_m: float, config: SegmentationConfig, block: int, number: int
+) -> _Clusters:
+    """The clusters of one placement of the nodes; their graph, the most memory, is let go."""
+    give_memory_back()
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
     nodes = sample_nodes(clearance, block, least, config.nodes, before)
-    if config.merge:  # where only what is this wide is in sight, all clusters are joined in the end
-        wide = (1.0 + 0.5 * config.merge_ratio) * sight
+    if config.merge:  # of where rooms end a node says nothing that has no obstacle in sight
         along_walls = least + 2.0 * math.hypot(block, block)  # no piece of free space has none
-        nodes = nodes[clearance[tuple(nodes.T)] <= max(wide, along_walls)]
+        nodes = nodes[clearance[tuple(nodes.T)] <= max(sight, along_walls)]
     graph = visibility_graph(clearance, nodes, sight, least)
     spectrum = spectral_clusters(graph, config)
-    clusters = spectrum.labels
+    labels = spectrum.labels
     if config.halve:
-        clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
-    if config.labels == "nearest":
-        cells = nearest_labels(relief > 0, nodes, clusters)
-    else:
-        cells = flood_labels(relief, nodes, clusters)
-    if config.merge and len(clusters):  # clusters that no narrowing separates
-        own = clearance[nodes[:, 0], nodes[:, 1]]
-        # no wider than the disc that the longest sight line spans
-        local = local_widths(own, graph.lengths, graph.pairs, 0.5 * sight)
-        widths = [
-            float(np.percentile(local[clusters == label], _WIDTH_PERCENTILE))
-            for label in range(int(clusters.max()) + 1)
-        ]
-        names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
-        return np.append(names, np.int16(-1))[cells[relief > 0]], graph, spectrum
-    return cells[relief > 0], graph, spectrum
+        labels = split_again(graph, labels, config.neighbours, config.halve_eigenvalue)
+    # no wider than the disc that the longest sight line spans
+    widths = local_widths(clearance[tuple(nodes.T)], graph.lengths, graph.pairs, 0.5 * sight)
+    return _Clusters(
+        nodes=nodes,
+        pairs=graph.pairs,
+        spectrum=spectrum,
+        labels=labels,
+        widths=[
+            float(np.percentile(widths[labels == label], _WIDTH_PERCENTILE))
+            for label in range(int(labels.max(initial=-1)) + 1)
+        ],
+    )
+
+
+def _labels(
+    clearance: LengthArray, relief: CellArray, found: _Clusters, config: SegmentationConfig
+) -> LabelArray:
+    """The labels (n,) of the free cells by some clusters, joined where no narrowing separates."""
+    give_memory_back()
+    carry = nearest_labels if config.labels == "nearest" else flood_labels
+    cells = carry(relief, found.nodes, found.labels)
+    names = np.arange(len(found.widths), dtype=np.int16)
+    if config.merge:
+        names = joined_wide(border_widths(cells, clearance), found.widths, config.merge_ratio)
+    return np.append(names, np.int16(-1))[cells[relief > 0]]  # the last is that of no cluster
 
 
 def regions_of(

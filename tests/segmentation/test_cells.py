@@ -61,7 +61,7 @@ def test_flooding_fills_pieces_with_a_node_and_some_cells_alike(seed: int, asked
         found = flooded_at(clearance, nodes, labels, cells)
         np.testing.assert_array_equal(found, flooded[tuple(cells.T)])
     assert (flood_labels(relief_of(clearance), nodes[:0], labels[:0]) == -1).all()
-    assert (nearest_labels(free, nodes[:0], labels[:0]) == -1).all()
+    assert (nearest_labels(free.view(np.uint8), nodes[:0], labels[:0]) == -1).all()
     part = np.array([[20, 10], [21, 60]])  # the flood looks no farther than nodes and cells lie
     free = dumbbell()
     found = flooded_at(clearance_of(free), part, np.arange(2, dtype=np.int32), part + 3)
@@ -73,7 +73,7 @@ def test_nearest_labels_are_those_of_the_nearest_node(seed: int) -> None:
     rng = np.random.default_rng(seed)
     free = cluttered(seed)
     nodes, labels = rng.integers(0, 60, (6, 2)), rng.integers(0, 4, 6).astype(np.int32)
-    found = nearest_labels(free, nodes, labels)
+    found = nearest_labels(free.view(np.uint8), nodes, labels)
     for row, column in rng.integers(0, 60, (40, 2)):
         if not free[row, column]:
             assert found[row, column] == -1

@@ -2,6 +2,9 @@
 
 import itertools
 import math
+import os
+from dataclasses import astuple
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -29,6 +32,8 @@ from tests.strategies import few, grid_maps
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
+# a hall of 40 m x 30 m and a room beside it
+HALL = plan(45.6, 30.6, (0.3, 0.3, 40.3, 30.3), (40.5, 0.3, 45.3, 15.3), (40.3, 6.0, 40.5, 6.9))
 
 
 def test_an_office_becomes_its_rooms_and_its_corridor() -> None:
@@ -154,14 +159,27 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again() -> None:
     assert segment(hall, DEFAULT.model_copy(update={"merge": False})).count >= 4
 
 
+@pytest.mark.parametrize("placements", [1, 2, 5])
+def test_a_large_map_is_divided_alike_in_one_process_and_in_two(
+    placements: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = DEFAULT.model_copy(update={"placements": placements, "merge": False})
+    found = []
+    for processors in ({0}, {0, 1}):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, those=processors: those)
+        with patch.object(os, "fork", wraps=os.fork) as fork:
+            found.append(segment(HALL, config))
+        assert fork.called == (len(processors) > 1)
+    for one, other in zip(*map(astuple, found), strict=True):
+        np.testing.assert_equal(one, other)
+
+
 def test_the_middle_of_an_open_hall_needs_no_nodes() -> None:
-    """All that is in sight there is so wide that its clusters are joined."""
-    room, door = (40.5, 0.3, 45.3, 15.3), (40.3, 6.0, 40.5, 6.9)
-    grid = plan(45.6, 30.6, (0.3, 0.3, 40.3, 30.3), room, door)
-    found = segment(grid, DEFAULT)
+    """No obstacle is in sight there."""
+    found, grid = segment(HALL, DEFAULT), HALL
     assert np.unique(found.labels[6:606, 6:806]).tolist() == [0]
     assert np.unique(found.labels[6:306, 810:906]).tolist() == [1]
-    assert grid.clearance()[tuple(grid.cells_of(found.nodes).T)].max() <= 1.36 * DEFAULT.sight_m
+    assert grid.clearance()[tuple(grid.cells_of(found.nodes).T)].max() <= DEFAULT.sight_m
     few_nodes = DEFAULT.model_copy(update={"node_step_m": 10.0, "placements": 1})
     assert segment(plan(20.6, 20.6, (0.3, 0.3, 20.3, 20.3)), few_nodes).count == 1  # some are left
 
