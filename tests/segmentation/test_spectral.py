@@ -164,6 +164,7 @@ def test_a_large_map_is_divided_alike_in_one_process_and_in_two(
     placements: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = DEFAULT.model_copy(update={"placements": placements, "merge": False})
+    monkeypatch.delenv("SPECMAP_PROCESSES", raising=False)
     found = []
     for processors in ({0}, {0, 1}):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, those=processors: those)
