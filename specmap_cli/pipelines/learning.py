@@ -235,7 +235,8 @@ def valid_training_data(
             np.count_nonzero(before.submaps == id_) for id_ in set(before.submaps[left[rows]])
         }
         unchanged[rows] = there == {len(rows)} and bent_m <= apart_m
-    return training_data.left(left).cast_near(unchanged).numbered_from(first)
+    kept = training_data.left(left, first)
+    return replace(kept, cast=kept.cast.rows(unchanged[kept.cast.keyframes - first]))
 
 
 def _of_this_version(stored: Map) -> bool:

@@ -10,8 +10,8 @@ nobody entered lies open to the unknown. Corridors that go round are cut into th
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import zip_longest
 
 import cv2
@@ -167,16 +167,11 @@ def _divided(work: GridMap, config: SegmentationConfig, block: int) -> tuple[Lab
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Clusters:
-    """The nodes (n, 2) of one placement, the pairs (m, 2) in sight, what Algorithm 2 says of them.
-
-    `labels` (n,) are its clusters or their halves, `widths` (k,) how wide each is, in cells.
-    """
+    """The nodes (n, 2) of a placement, the pairs (m, 2) in sight, what Algorithm 2 says of them."""
 
     nodes: IndexArray
     pairs: IndexArray
     spectrum: Spectrum
-    labels: LabelArray
-    widths: list[float]
 
 
 def _divisions(
@@ -186,27 +181,27 @@ def _divisions(
 
     Of a large map every other placement is made in a second process, where there can be one.
     """
-
-    def packed(numbers: Iterable[int]) -> Generator[Packed, None, None]:
-        for number in numbers:
-            found = _placement(clearance, cell_m, config, block, number)
-            yield Packed.of(_labels(clearance, relief, found, config))
-
+    place = partial(_placement, clearance, relief, cell_m, config, block)
     large = int(np.count_nonzero(relief)) >= _LARGE_CELLS
-    with ahead(lambda: packed(range(1, config.placements, 2)), worthwhile=large) as meanwhile:
-        even = list(packed(range(2, config.placements, 2)))
-        first = _placement(clearance, cell_m, config, block, 0)
-        labels = _labels(clearance, relief, first, config)
-        odd = list(meanwhile)
+    odd, even = range(1, config.placements, 2), range(2, config.placements, 2)
+    with ahead(lambda: (Packed.of(place(k)[0]) for k in odd), worthwhile=large) as meanwhile:
+        others = [Packed.of(place(k)[0]) for k in even]
+        labels, first = place(0)
+        between = list(meanwhile)
     give_memory_back()
-    others = (one for pair in zip_longest(odd, even) for one in pair if one)
-    return [labels, *(one.array for one in others)], first
+    in_order = (one for pair in zip_longest(between, others) for one in pair if one)
+    return [labels, *(one.array for one in in_order)], first
 
 
 def _placement(
-    clearance: LengthArray, cell_m: float, config: SegmentationConfig, block: int, number: int
-) -> _Clusters:
-    """The clusters of one placement of the nodes; their graph, the most memory, is let go."""
+    clearance: LengthArray,
+    relief: CellArray,
+    cell_m: float,
+    config: SegmentationConfig,
+    block: int,
+    number: int,
+) -> tuple[LabelArray, _Clusters]:
+    """The labels (n,) of the free cells by one placement of the nodes, and its clusters."""
     give_memory_back()
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
@@ -220,30 +215,18 @@ def _placement(
     if config.halve:
         labels = split_again(graph, labels, config.neighbours, config.halve_eigenvalue)
     # no wider than the disc that the longest sight line spans
-    widths = local_widths(clearance[tuple(nodes.T)], graph.lengths, graph.pairs, 0.5 * sight)
-    return _Clusters(
-        nodes=nodes,
-        pairs=graph.pairs,
-        spectrum=spectrum,
-        labels=labels,
-        widths=[
-            float(np.percentile(widths[labels == label], _WIDTH_PERCENTILE))
-            for label in range(int(labels.max(initial=-1)) + 1)
-        ],
-    )
-
-
-def _labels(
-    clearance: LengthArray, relief: CellArray, found: _Clusters, config: SegmentationConfig
-) -> LabelArray:
-    """The labels (n,) of the free cells by some clusters, joined where no narrowing separates."""
+    across = local_widths(clearance[tuple(nodes.T)], graph.lengths, graph.pairs, 0.5 * sight)
+    pairs = graph.pairs
+    del graph  # the most memory of all this
     give_memory_back()
+    names = np.arange(int(labels.max(initial=-1)) + 1, dtype=np.int16)
     carry = nearest_labels if config.labels == "nearest" else flood_labels
-    cells = carry(relief, found.nodes, found.labels)
-    names = np.arange(len(found.widths), dtype=np.int16)
-    if config.merge:
-        names = joined_wide(border_widths(cells, clearance), found.widths, config.merge_ratio)
-    return np.append(names, np.int16(-1))[cells[relief > 0]]  # the last is that of no cluster
+    cells = carry(relief, nodes, labels)
+    if config.merge:  # joined where no narrowing separates them
+        widths = [float(np.percentile(across[labels == k], _WIDTH_PERCENTILE)) for k in names]
+        names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
+    free = np.append(names, np.int16(-1))[cells[relief > 0]]  # the last is that of no cluster
+    return free, _Clusters(nodes=nodes, pairs=pairs, spectrum=spectrum)
 
 
 def regions_of(

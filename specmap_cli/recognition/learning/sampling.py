@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, Labels, PlanarScan
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, PlanarScan
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -103,11 +103,14 @@ class TrainingData:
         """The samples of one kind after the other."""
         return self.raw, self.beside, self.along, self.cast
 
-    def left(self, numbers: IntArray) -> TrainingData:
-        """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
+    def left(self, numbers: IntArray, first: int = 0) -> TrainingData:
+        """Those of the keyframes `numbers` (k,), ascending, which are numbered from `first` on."""
         left = (own.rows(np.isin(own.keyframes, numbers)) for own in self.kinds)
         return TrainingData(
-            *(Samples(own.features, np.searchsorted(numbers, own.keyframes)) for own in left)
+            *(
+                Samples(own.features, first + np.searchsorted(numbers, own.keyframes))
+                for own in left
+            )
         )
 
     @classmethod
@@ -115,14 +118,6 @@ class TrainingData:
         """Those of several maps in one."""
         of_kinds = zip(*(part.kinds for part in parts), strict=True)
         return cls(*(together(of_kind) for of_kind in of_kinds))
-
-    def numbered_from(self, first: int) -> TrainingData:
-        """Those of the same keyframes, which are numbered from `first` on instead of from 0."""
-        return TrainingData(*(replace(own, keyframes=own.keyframes + first) for own in self.kinds))
-
-    def cast_near(self, keyframes: BoolArray) -> TrainingData:
-        """Without the scans that were cast near other keyframes than some (n,)."""
-        return replace(self, cast=self.cast.rows(keyframes[self.cast.keyframes]))
 
 
 NO_SAMPLES = Samples(np.zeros((0, 0), dtype=np.float32), np.zeros(0, dtype=np.intp))

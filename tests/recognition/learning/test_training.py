@@ -325,13 +325,13 @@ def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
     assert kept(left) == [[1, 2], [2], [1], [2, 2]]
     assert left.raw.features.ravel().tolist() == [103.0, 107.0]
     assert kept(sampling.NO_TRAINING_DATA.left(np.array([0]))) == [[]] * 4
-    near = lessons.cast_near(np.arange(8) == 7)  # of cast samples those near some keyframes stay
-    assert kept(near) == [[0, 3, 7], [0, 7], [3], [7, 7]]
 
 
 def test_lessons_of_several_maps_are_one() -> None:
     one = sampling.TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
-    both = sampling.TrainingData.joined([one, sampling.NO_TRAINING_DATA, one.numbered_from(10)])
+    both = sampling.TrainingData.joined(
+        [one, sampling.NO_TRAINING_DATA, one.left(np.arange(2), 10)]
+    )
     assert kept(both) == [[0, 1, 10, 11], [0, 10], [1, 11], []]
     assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
 
