@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -120,6 +121,22 @@ def invert(a_from_b: NDArray[Any]) -> FloatArray:
     a = np.asarray(a_from_b, dtype=np.float64)
     x, y, c, s = a[..., 0], a[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack([-c * x - s * y, s * x - c * y, wrap_angles(-a[..., 2])], axis=-1)
+
+
+def apply_each(poses: FloatArray, clouds: Sequence[NDArray[Any]]) -> FloatArray:
+    """All points (N, 2) of some clouds, each cloud placed at its own one of `poses` (n, 3).
+
+    They are those of `Pose2.apply` to the last bit, in the order of the clouds; many are quicker.
+    """
+    counts = np.array([len(cloud) for cloud in clouds], dtype=np.intp)
+    x, y = np.concatenate([np.zeros((0, 2)), *clouds]).T
+    headings = poses[:, 2].tolist()
+    c = np.repeat(np.array([math.cos(heading) for heading in headings]), counts)
+    s = np.repeat(np.array([math.sin(heading) for heading in headings]), counts)
+    placed = np.empty((len(x), 2))
+    placed[:, 0] = c * x - s * y + np.repeat(poses[:, 0], counts)
+    placed[:, 1] = s * x + c * y + np.repeat(poses[:, 1], counts)
+    return placed
 
 
 def nearest_motion(source: NDArray[Any], target: NDArray[Any]) -> Pose2:

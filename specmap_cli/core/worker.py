@@ -3,8 +3,7 @@
 Registration needs nothing that later stages find out. One placement of the nodes of a large map
 needs no other. The classifiers of raw scans need no grids of submaps. The other files of a map do
 not need the one of its scans. Where there is a second processor, a forked child does such work
-meanwhile. The results are those of one process, bit for
-bit. They wait in a pipe of bounded size.
+meanwhile. The results are those of one process, bit for bit. They wait in a pipe of bounded size.
 
 The work is a generator: what it yields are the items, what it returns is the result.
 """

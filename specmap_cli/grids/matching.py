@@ -18,7 +18,7 @@ says, and how well walls fix a place at all, `weakest_direction`: along a bare c
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, apply_each, product, wrap_angle
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.occupancy import SURFACE_GAP_M
 from specmap_cli.grids.score_field import ScoreField, descend
@@ -52,6 +52,7 @@ _LATTICE_BEST, _SOME = 500, 4  # poses that fit some of the points best are aske
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
 _SLACK = 1e-9  # scores and lengths this close are equal
+_GATHERED = 1 << 18  # values looked up at a time: 1 MB, as caches hold
 
 _DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
 _PIECE_M, _SMOOTHED_GAP_M = 0.25, 0.5  # pieces of smoothed surfaces, and gaps that end these
@@ -97,15 +98,15 @@ def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window
     if not len(points):
         return Match(guess, 0.0)
     shifts, angles = _lattice(points, window, field.resolution)
+    scores = _lattice_scores(field, points, guess, shifts, angles)
     penalty = window.penalty_per_m2 * (shifts**2).sum(axis=1)
+    values = scores - penalty - window.penalty_per_rad2 * angles[:, None] ** 2
     best, best_value, best_score = guess, -np.inf, 0.0
-    for angle, scores in _lattice_scores(field, points, guess, shifts, angles):
-        values = scores - penalty - window.penalty_per_rad2 * angle**2
-        k = int(values.argmax())
-        if values[k] > best_value + _SLACK:
-            best_value, best_score = float(values[k]), float(scores[k])
+    for turn, k in enumerate(values.argmax(axis=1).tolist()):
+        if values[turn, k] > best_value + _SLACK:
+            best_value, best_score = float(values[turn, k]), float(scores[turn, k])
             x, y = guess.x + float(shifts[k, 0]), guess.y + float(shifts[k, 1])
-            best = Pose2(x, y, wrap_angle(guess.theta + angle))
+            best = Pose2(x, y, wrap_angle(guess.theta + float(angles[turn])))
     return Match(best, best_score)
 
 
@@ -204,8 +205,7 @@ def answers(
     middle = np.asarray(points, dtype=np.float64).mean(axis=0)
     (x, y), local = prior.pose.apply(middle[None])[0].tolist(), points - middle
     centre = Pose2(x, y, 0.0)
-    some = _lattice_scores(coarser, local[::_SOME], centre, shifts, angles)
-    rough = np.stack([scores for _, scores in some])
+    rough = _lattice_scores(coarser, local[::_SOME], centre, shifts, angles)
     few = max(0, rough.size - _LATTICE_BEST)
     best = (rough >= np.partition(rough, few, axis=None)[few]) & (rough > 0.0)
     around = coarse.resolution * (np.argwhere(np.ones((3, 3))) - 1.0)
@@ -284,9 +284,8 @@ def covariance(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArr
         angle_step_rad=SPREAD_RAD / _SPREAD_STEPS,
     )
     shifts, angles = _lattice(points, window, field.resolution)
-    poses = np.concatenate([np.column_stack([shifts, np.full(len(shifts), a)]) for a in angles])
-    lattice = _lattice_scores(field, points, pose, shifts, angles)
-    scores = np.concatenate([row for _, row in lattice])
+    poses = np.column_stack([np.tile(shifts, (len(angles), 1)), np.repeat(angles, len(shifts))])
+    scores = _lattice_scores(field, points, pose, shifts, angles).ravel()
     below = ((scores - scores.max()) / SPREAD_TEMPERATURE).tolist()
     weights = np.array([math.exp(each) for each in below])  # NumPy's exp depends on the processor
     weights /= weights.sum()
@@ -316,8 +315,8 @@ def _lattice(
 
 def _lattice_scores(
     field: ScoreField, points: NDArray[Any], guess: Pose2, shifts: FloatArray, angles: FloatArray
-) -> Iterator[tuple[float, FloatArray]]:
-    """For each angle the scores (S,) of points (N, 2) at the guess turned by it and shifted.
+) -> FloatArray:
+    """The scores (A, S) of points (N, 2) at the guess turned by each angle and shifted.
 
     Shifts lie on a lattice; points are looked up at all of its square, which gathers rows at once.
     """
@@ -340,17 +339,21 @@ def _lattice_scores(
     )
     # by the first row and column of each window: its values at all shifts
     windows = sliding_window_view(padded, (2 * reach + 1,) * 2)[:, :, ::stride, ::stride]
-    height, width = windows.shape[:2]
     corner = np.asarray(field.origin) - border * field.resolution
-    for angle in angles.tolist():
-        placed = Pose2(guess.x, guess.y, guess.theta + angle).apply(points)
-        cells = ((placed - corner) / field.resolution).astype(np.intp)
-        columns, rows = (cells - low - reach).T
-        # a point too far outside to be shifted onto the field waits on the border of noughts
-        np.clip(columns, 0, width - 1, out=columns)
-        np.clip(rows, 0, height - 1, out=rows)
-        sums = windows[rows, columns].sum(axis=0, dtype=np.float64)
-        yield angle, sums[row, column] / len(points)
+    turned = np.tile([guess.x, guess.y, guess.theta], (len(angles), 1))
+    turned[:, 2] += angles
+    placed = apply_each(turned, [points] * len(angles))
+    cells = ((placed - corner) / field.resolution).astype(np.intp) - low - reach
+    # a point too far outside to be shifted onto the field waits on the border of noughts
+    cells = np.minimum(np.maximum(cells, 0), np.array(windows.shape[1::-1]) - 1)
+    columns, rows = np.moveaxis(cells.reshape(len(angles), len(points), 2), 2, 0)
+    scores = np.empty((len(angles), len(shifts)))
+    many = max(1, _GATHERED // (len(points) * windows[0, 0].size))  # angles at a time
+    for first in range(0, len(angles), many):
+        some = slice(first, first + many)
+        sums = windows[rows[some], columns[some]].sum(axis=1, dtype=np.float64)
+        scores[some] = sums[:, row, column]
+    return scores / len(points)
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:

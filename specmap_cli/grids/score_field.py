@@ -315,12 +315,10 @@ class Sample:
         u, v = turned / cell_m
         u += (pose.x - x) / cell_m - 0.5
         v += (pose.y - y) / cell_m - 0.5
+        left, below = np.floor(u), np.floor(v)
         # nothing is, where nothing lies between the centres of cells
-        inside = (u >= 0.0) & (u < width - 1.0) & (v >= 0.0) & (v < height - 1.0)
-        left = np.maximum(np.minimum(np.floor(u), width - 2.0), 0.0)
-        below = np.maximum(np.minimum(np.floor(v), height - 2.0), 0.0)
-        fx = np.minimum(np.maximum(u - left, 0.0), 1.0)
-        fy = np.minimum(np.maximum(v - below, 0.0), 1.0)
+        inside = (left >= 0.0) & (left < width - 1.0) & (below >= 0.0) & (below < height - 1.0)
+        fx, fy = u - left, v - below
         start = (below * width + left).astype(np.intp)
         corners = field.values.ravel().take(start + _cell_corners(width), mode="clip")
         rise = corners[2:] - corners[:2]

@@ -286,7 +286,7 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             around = Surroundings.of(walls.of_all(old.tolist(), draft.poses))
         if len(old):
             seen = partial(walls.seen_of_all, old.tolist(), draft.poses)
-            view = walls.around(row, PLACE_NODES, draft.poses)
+            view = walls.around(row, PLACE_NODES, draft.poses).points
             fit = around.find(view, seen, prior)
             links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
     return tuple(links)

@@ -12,14 +12,22 @@ pass never looked says nothing. So the view that overlaps by a third counts for 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import cv2
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
+from specmap_cli.core.geometry import (
+    FloatArray,
+    Pose2,
+    apply_each,
+    compose,
+    inverse3,
+    invert,
+    product,
+)
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import SPREAD_M, Prior, Window, answers, covariance, refine, search
@@ -88,61 +96,53 @@ class Walls:
         self._store, self._graph = store, graph
         after = [motion.kind != "odometry" for motion in graph.odometry]
         self._pieces = np.cumsum([False, *after])  # between all breaks, bridged or not
-        self._points: Callable[[int], FloatArray] = lru_cache(_REMEMBERED)(self._read)
-        self._sides: Callable[[int], Sides] = lru_cache(_REMEMBERED)(self._seen)
+        self._sides: Callable[[int], Sides] = lru_cache(_REMEMBERED)(self._read)
         if before is not None:
-            self._points, self._sides = before._points, before._sides
-
-    def points(self, node: int) -> FloatArray:
-        """Points (N, 2) of one node in its base frame."""
-        return self._points(int(self._graph.nodes[node]))
+            self._sides = before._sides
 
     def sides(self, node: int) -> Sides:
-        """The same with the sides that its laser saw."""
+        """The points of one node in its base frame, with the sides that its laser saw."""
         return self._sides(int(self._graph.nodes[node]))
 
-    def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
-        """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
+    def around(self, node: int, reach: int, poses: FloatArray) -> Sides:
+        """What is seen from nodes within `reach` of row `node`, in the frame of `node`.
 
         `poses` (M, 3) place the nodes. Only nodes between the same breaks are used.
         """
-        near = self._near(node, reach, poses)
-        return np.concatenate([pose.apply(self.points(k)) for k, pose in near])
-
-    def sides_around(self, node: int, reach: int, poses: FloatArray) -> Sides:
-        """The same points with the sides of the walls that are seen from there."""
-        near = [self.sides(k).placed(pose) for k, pose in self._near(node, reach, poses)]
-        points, normals = [one.points for one in near], [one.normals for one in near]
-        return Sides(np.concatenate(points), np.concatenate(normals))
+        near, places = self._near(node, reach, poses)
+        sides = [self.sides(k) for k in near]
+        turns = places * (0.0, 0.0, 1.0)
+        return Sides(
+            apply_each(places, [one.points for one in sides]),
+            apply_each(turns, [one.normals for one in sides]),
+        )
 
     def seen_around(
         self, node: int, reach: int, poses: FloatArray, field: ScoreField, margin_m: float
     ) -> BoolArray:
         """(H, W) which cells of a field in the frame of row `node` were seen from these nodes."""
-        near = self._near(node, reach, poses)
-        return seen_from([(self.points(k), pose) for k, pose in near], field, margin_m)
+        near, places = self._near(node, reach, poses)
+        return seen_from([self.sides(k).points for k in near], places, field, margin_m)
 
     def seen_of_all(
         self, nodes: Sequence[int], poses: FloatArray, field: ScoreField, margin_m: float
     ) -> BoolArray:
         """(H, W) which cells of a field in the map were seen from rows `nodes`."""
-        views = [(self.points(k), Pose2(*poses[k].tolist())) for k in nodes]
-        return seen_from(views, field, margin_m)
+        return seen_from([self.sides(k).points for k in nodes], poses[nodes], field, margin_m)
 
-    def _near(self, node: int, reach: int, poses: FloatArray) -> list[tuple[int, Pose2]]:
-        """The rows around a row, and where they are in its frame."""
+    def _near(self, node: int, reach: int, poses: FloatArray) -> tuple[list[int], FloatArray]:
+        """The rows around a row, and where they are in its frame, (n, 3)."""
         pieces = self._pieces
         low, high = max(0, node - reach), min(len(pieces), node + reach + 1)
         others = [k for k in range(low, high) if pieces[k] == pieces[node]]
-        relative = compose(invert(poses[node]), poses[others])
-        return [(k, Pose2(*pose.tolist())) for k, pose in zip(others, relative, strict=True)]
+        return others, compose(invert(poses[node]), poses[others])
 
     def of_all(self, nodes: Sequence[int], poses: FloatArray) -> FloatArray:
         """Points (N, 2) seen from all rows `nodes`, in the map, thinned as they are gathered."""
         clouds: list[FloatArray] = [np.zeros((0, 2))]
         count, most = 0, _GATHERED
         for k in nodes:
-            clouds.append(Pose2(*poses[k].tolist()).apply(self.points(k)))
+            clouds.append(Pose2(*poses[k].tolist()).apply(self.sides(k).points))
             count += len(clouds[-1])
             if count > most:  # twice what was left the last time: each point is thinned a few times
                 clouds = [thinned(np.concatenate(clouds), CELL_M)]
@@ -150,14 +150,11 @@ class Walls:
                 most = max(_GATHERED, 2 * count)
         return thinned(np.concatenate(clouds), CELL_M)
 
-    def _read(self, number: int) -> FloatArray:
-        """Points (N, 2) of a keyframe."""
-        return thinned(self._store.points(number, MATCH_RANGE_M), CELL_M)
-
-    def _seen(self, number: int) -> Sides:
+    def _read(self, number: int) -> Sides:
         """The points of a keyframe with the sides that its laser saw."""
+        points = thinned(self._store.points(number, MATCH_RANGE_M), CELL_M)
         laser = self._store.base_from_laser(number)
-        return Sides.of(self._points(number), (laser.x, laser.y))
+        return Sides.of(points, (laser.x, laser.y))
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,21 +225,22 @@ def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> B
 
 
 def seen_from(
-    views: Iterable[tuple[FloatArray, Pose2]], field: ScoreField, margin_m: float
+    views: Sequence[FloatArray], places: FloatArray, field: ScoreField, margin_m: float
 ) -> BoolArray:
     """(H, W) which cells of a field lie in what was seen, or so near to it.
 
     What a scan saw is the area between the robot and its returns, joined in their order: `views`
-    are returns (N, 2), and poses of the robot in the frame of the field.
+    are returns (N, 2), and `places` (n, 3) those of the robot in the frame of the field.
     """
     seen = np.zeros(field.values.shape, dtype=np.uint8)
     height, width = field.values.shape
-    for points, pose in views:
-        corners = np.concatenate([np.zeros((1, 2)), points])
-        if len(corners) >= _FEWEST:
-            cells = np.floor((pose.apply(corners) - np.asarray(field.origin)) / field.resolution)
-            near = np.clip(cells, (-width, -height), (2 * width, 2 * height))  # 32 bits hold these
-            cv2.fillPoly(seen, [near.astype(np.int32)], 1)
+    corners = apply_each(places, [np.concatenate([np.zeros((1, 2)), points]) for points in views])
+    cells = np.floor((corners - np.asarray(field.origin)) / field.resolution)
+    near = np.clip(cells, (-width, -height), (2 * width, 2 * height))  # 32 bits hold these
+    ends = np.cumsum([1 + len(points) for points in views])
+    for outline in np.split(near.astype(np.int32), ends):
+        if len(outline) >= _FEWEST:
+            cv2.fillPoly(seen, [outline], 1)
     reach = max(1, round(margin_m / field.resolution))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(seen, kernel) > 0)
@@ -406,20 +404,16 @@ def match_passes(
     pass saw from its other side only does not fit, however near it lies.
     """
     old, new = rows
-    source = walls.around(new, reach, poses)
-    place = Place.of(
-        walls.around(old, PLACE_NODES, poses), partial(walls.seen_around, old, PLACE_NODES, poses)
-    )
-    fit = place.match(source, guess, drift_m)
+    source, target = walls.around(new, reach, poses), walls.around(old, PLACE_NODES, poses)
+    place = Place.of(target.points, partial(walls.seen_around, old, PLACE_NODES, poses))
+    fit = place.match(source.points, guess, drift_m)
     if fit is None:
         return None
-    sides = walls.sides_around(new, reach, poses)
-    others = walls.sides_around(old, PLACE_NODES, poses)
-    behind = from_behind(sides, others, guess, drift_m)
+    behind = from_behind(source, target, guess, drift_m)
     share = float(behind.mean())
     if share >= _FEW:
         rest = LEAST_EVIDENCE / max(1.0 - share, LEAST_EVIDENCE)  # of the whole view
-        fit = place.match(source[~behind], guess, drift_m, rest)
+        fit = place.match(source.points[~behind], guess, drift_m, rest)
         if fit is None:
             return None
     return Link(

@@ -120,15 +120,16 @@ def _watershed(relief: CellArray, nodes: IndexArray, labels: LabelArray) -> Labe
     Meyer's watershed: two fronts meet where the passage is narrowest, as the relief is highest
     there. A second channel makes the step into a wall the last.
     """
-    rows, columns = relief.shape
     free = relief > 0
-    picture = np.full((rows + 2, columns + 2, 3), (0, 255, 0), dtype=np.uint8)
-    inner = picture[1:-1, 1:-1]
-    inner[:, :, 0], inner[:, :, 1] = relief, np.uint8(255) * ~free
+    layers = relief, np.where(free, np.uint8(0), np.uint8(255)), np.zeros_like(relief)
+    picture = cv2.copyMakeBorder(
+        cv2.merge(layers), *(1, 1, 1, 1), cv2.BORDER_CONSTANT, value=(0, 255, 0)
+    )
+    del layers
     markers = np.zeros(picture.shape[:2], dtype=np.int32)
     markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
     cv2.watershed(picture, markers)
-    del picture, inner
+    del picture
     flooded = markers[1:-1, 1:-1].astype(np.int16)
     del markers
     flooded -= 1

@@ -197,7 +197,7 @@ def test_a_search_on_the_way_finds_what_one_at_the_end_finds(
         assert made[-1] == len(truth)
         assert 33 in graph.nodes
         before = PassesOnTheWay(store).ended(breaks, [33])[2]
-        assert np.array_equal(walls.points(20), Walls(store, graph).points(20))
+        assert np.array_equal(walls.sides(20).points, Walls(store, graph).sides(20).points)
         assert np.array_equal(walls.sides(20).normals, Walls(store, graph).sides(20).normals)
     assert all(0 <= older < newer for older, newer in found.matched)
     ours, theirs = ({(one.source, one.target) for one in each.loops} for each in (found, before))

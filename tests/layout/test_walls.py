@@ -62,14 +62,16 @@ def test_walls_are_those_of_neighbours_of_a_part_in_its_frame(perfect: Laps, wal
             for k in range(max(0, row - reach), row + reach + 1)
             if graph.parts[k] == graph.parts[row]
         ]
-        assert np.allclose(walls.around(row, reach, graph.poses), np.concatenate(expected)), row
+        assert np.allclose(
+            walls.around(row, reach, graph.poses).points, np.concatenate(expected)
+        ), row
 
 
 def test_farther_returns_are_no_walls(perfect: Laps, walls: Walls) -> None:
     poses = perfect[1].poses
     with turned("layout.path_graph", MATCH_RANGE_M=2.0):
-        near = Walls(*perfect).around(20, 0, poses)
-    assert 0 < len(near) < len(walls.around(20, 0, poses))
+        near = Walls(*perfect).around(20, 0, poses).points
+    assert 0 < len(near) < len(walls.around(20, 0, poses).points)
     assert np.hypot(*near.T).max() <= 2.0
 
 
@@ -89,10 +91,10 @@ def test_more_nodes_than_are_remembered_are_read_again(drive: Drive) -> None:
     truth, scans = drive
     with stored(truth, scans) as store:
         walls = Walls(store, graph_by_hand(truth))
-        before = walls.around(0, 0, truth)
+        before = walls.around(0, 0, truth).points
         for row in range(300):
             walls.around(row, 0, truth)
-        assert np.array_equal(walls.around(0, 0, truth), before)
+        assert np.array_equal(walls.around(0, 0, truth).points, before)
 
 
 def wall(y: float = 0.0, left: float = -2.0, right: float = 2.0) -> FloatArray:
@@ -192,7 +194,11 @@ def pass_of(graph: Graph, walls: Walls, row: int) -> Pass:
     """Walls of a node of the second lap, of the same place in the first, and the true pose."""
     poses = graph.poses
     old = int(np.argmin(np.hypot(*(poses[:100, :2] - poses[row, :2]).T)))
-    return walls.around(row, 3, poses), walls.around(old, 8, poses), between(poses, old, row)
+    return (
+        walls.around(row, 3, poses).points,
+        walls.around(old, 8, poses).points,
+        between(poses, old, row),
+    )
 
 
 @pytest.fixture
@@ -225,7 +231,7 @@ def test_a_pass_is_matched_to_centimetres(graph: Graph, walls: Walls, seed: int)
 
 def test_another_place_does_not_fit(graph: Graph, walls: Walls) -> None:
     poses = graph.poses
-    source, target = walls.around(10, 3, poses), walls.around(45, 8, poses)
+    source, target = walls.around(10, 3, poses).points, walls.around(45, 8, poses).points
     assert Place.of(target).match(source, IDENTITY, 1.0) is None
     with turned("layout.walls", LOOP_SCORE=0.0):
         found = Place.of(target).match(source, IDENTITY, 1.0)
@@ -365,7 +371,7 @@ def rooms() -> Iterator[Rooms]:
 def test_the_other_side_of_a_wall_is_no_match(rooms: Rooms) -> None:
     graph, walls = rooms
     guess = between(graph.poses, FIRST, SECOND)
-    source, target = (walls.around(row, 4, graph.poses) for row in (SECOND, FIRST))
+    source, target = (walls.around(row, 4, graph.poses).points for row in (SECOND, FIRST))
     seen = partial(walls.seen_around, FIRST, 4, graph.poses)
     with turned("layout.walls", LOOP_SCORE=0.2):  # they have little else in common
         mistaken = Place.of(target, seen).match(source, guess, 0.3)
@@ -394,7 +400,7 @@ def test_the_same_side_is_one(rooms: Rooms, off_m: float, fits: bool) -> None:
 def test_a_place_is_found_at_any_angle(graph: Graph, walls: Walls, turn: float) -> None:
     older = walls.of_all(np.flatnonzero(graph.parts == 0).tolist(), graph.poses)
     row = int(np.argmax(graph.parts == 1)) + 20
-    source = walls.around(row, 8, graph.poses)
+    source = walls.around(row, 8, graph.poses).points
     truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
     fit = Surroundings.of(older).find(turned.inverse().apply(source), everywhere, ANYWHERE)
     assert fit is not None
