@@ -167,7 +167,7 @@ def _half(graph: Graph, walls: Walls, row: int, which: int) -> FloatArray:
     near = [k for k in range(low, high) if k % 2 == which or k == row]
     relative = compose(invert(graph.poses[row]), graph.poses[near]).tolist()
     views = zip(near, relative, strict=True)
-    return np.concatenate([Pose2(*pose).apply(walls.points(k)) for k, pose in views])
+    return np.concatenate([Pose2(*pose).apply(walls.sides(k).points) for k, pose in views])
 
 
 def _off(a: Pose2, b: Pose2) -> tuple[float, float]:

@@ -12,7 +12,7 @@ pass never looked says nothing. So the view that overlaps by a third counts for 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -122,13 +122,13 @@ class Walls:
     ) -> BoolArray:
         """(H, W) which cells of a field in the frame of row `node` were seen from these nodes."""
         near, places = self._near(node, reach, poses)
-        return seen_from([self.sides(k).points for k in near], places, field, margin_m)
+        return seen_from((self.sides(k).points for k in near), places, field, margin_m)
 
     def seen_of_all(
         self, nodes: Sequence[int], poses: FloatArray, field: ScoreField, margin_m: float
     ) -> BoolArray:
         """(H, W) which cells of a field in the map were seen from rows `nodes`."""
-        return seen_from([self.sides(k).points for k in nodes], poses[nodes], field, margin_m)
+        return seen_from((self.sides(k).points for k in nodes), poses[nodes], field, margin_m)
 
     def _near(self, node: int, reach: int, poses: FloatArray) -> tuple[list[int], FloatArray]:
         """The rows around a row, and where they are in its frame, (n, 3)."""
@@ -225,7 +225,7 @@ def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> B
 
 
 def seen_from(
-    views: Sequence[FloatArray], places: FloatArray, field: ScoreField, margin_m: float
+    views: Iterable[FloatArray], places: FloatArray, field: ScoreField, margin_m: float
 ) -> BoolArray:
     """(H, W) which cells of a field lie in what was seen, or so near to it.
 
@@ -233,14 +233,13 @@ def seen_from(
     are returns (N, 2), and `places` (n, 3) those of the robot in the frame of the field.
     """
     seen = np.zeros(field.values.shape, dtype=np.uint8)
-    height, width = field.values.shape
-    corners = apply_each(places, [np.concatenate([np.zeros((1, 2)), points]) for points in views])
-    cells = np.floor((corners - np.asarray(field.origin)) / field.resolution)
-    near = np.clip(cells, (-width, -height), (2 * width, 2 * height))  # 32 bits hold these
-    ends = np.cumsum([1 + len(points) for points in views])
-    for outline in np.split(near.astype(np.int32), ends):
-        if len(outline) >= _FEWEST:
-            cv2.fillPoly(seen, [outline], 1)
+    size = np.array(field.values.shape[::-1])
+    for points, place in zip(views, places.tolist(), strict=True):
+        corners = np.concatenate([np.zeros((1, 2)), points])
+        if len(corners) >= _FEWEST:
+            cells = (Pose2(*place).apply(corners) - field.origin) / field.resolution
+            near = np.minimum(np.maximum(np.floor(cells), -size), 2 * size)  # 32 bits hold these
+            cv2.fillPoly(seen, [near.astype(np.int32)], 1)
     reach = max(1, round(margin_m / field.resolution))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(seen, kernel) > 0)

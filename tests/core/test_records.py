@@ -120,6 +120,18 @@ def test_arrays_of_poses_compose_and_invert_as_single_ones(a: FloatArray, b: Flo
     np.testing.assert_array_equal(geometry.compose(a[0], b)[2], geometry.compose(a[0], b[2]))
 
 
+@given(pose_arrays(4), st.lists(st.integers(0, 5), min_size=4, max_size=4), seeds)
+def test_clouds_are_placed_together_as_one_by_one(
+    placed_at: FloatArray, sizes: list[int], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    clouds = [rng.uniform(-30.0, 30.0, (size, 2)) for size in sizes]
+    placed = geometry.apply_each(placed_at, clouds)
+    own = [Pose2(*at).apply(cloud) for at, cloud in zip(placed_at.tolist(), clouds, strict=True)]
+    np.testing.assert_array_equal(placed, np.concatenate(own))
+    assert geometry.apply_each(placed_at[:0], []).shape == (0, 2)
+
+
 @given(any_angle)
 def test_wrapped_angles_are_the_same_angles_in_range(angle: float) -> None:
     wrapped = wrap_angle(angle)
