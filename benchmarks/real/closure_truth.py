@@ -82,7 +82,7 @@ def true_poses(path: Path, store: KeyframeStore, *, of_laser: bool = True) -> Fl
     A file of TUM poses is of the laser or of the base.
     """
     truth = read_tum(path)
-    known, found = associate(truth.stamps_ns, np.array(store.stamps_ns), 5_000_000)
+    known, found = associate(truth.stamps_ns, store.stamps_ns, 5_000_000)
     poses = np.full((len(store), 3), np.nan)
     for keyframe, row in zip(known.tolist(), found.tolist(), strict=True):
         pose = Pose2(*truth.poses[row].tolist())

@@ -126,7 +126,8 @@ def invert(a_from_b: NDArray[Any]) -> FloatArray:
 def apply_each(poses: FloatArray, clouds: Sequence[NDArray[Any]]) -> FloatArray:
     """All points (N, 2) of some clouds, each cloud placed at its own one of `poses` (n, 3).
 
-    They are those of `Pose2.apply` to the last bit, in the order of the clouds; many are quicker.
+    They are those of `Pose2.apply` to the last bit, in the order of the clouds. Many clouds take
+    less time together.
     """
     counts = np.array([len(cloud) for cloud in clouds], dtype=np.intp)
     x, y = np.concatenate([np.zeros((0, 2)), *clouds]).T

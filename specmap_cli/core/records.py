@@ -147,8 +147,8 @@ class Trajectory:
 
     def __iter__(self) -> Iterator[tuple[int, Pose2]]:
         """Stamp and pose of each scan."""
-        for stamp_ns, pose in zip(self.stamps_ns.tolist(), self.poses.tolist(), strict=True):
-            yield stamp_ns, Pose2(*pose)
+        for stamp_ns, pose in zip(self.stamps_ns, self.poses, strict=True):
+            yield int(stamp_ns), Pose2(*pose.tolist())
 
     @property
     def driven(self) -> FloatArray:
@@ -169,9 +169,9 @@ class Labels:
 
     def __iter__(self) -> Iterator[tuple[int, Pose2, int | None]]:
         """Stamp, pose and submap of each keyframe; None for one in no submap."""
-        columns = (self.stamps_ns.tolist(), self.poses.tolist(), self.submaps.tolist())
-        for stamp_ns, pose, submap in zip(*columns, strict=True):
-            yield stamp_ns, Pose2(*pose), None if submap == NO_SUBMAP else submap
+        for stamp_ns, pose, submap in zip(self.stamps_ns, self.poses, self.submaps, strict=True):
+            in_one = None if submap == NO_SUBMAP else int(submap)
+            yield int(stamp_ns), Pose2(*pose.tolist()), in_one
 
     def duration_s(self, starts: Sequence[int] = ()) -> float:
         """Seconds from first keyframe to last, of each recording by itself.

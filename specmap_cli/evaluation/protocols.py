@@ -270,10 +270,10 @@ def nearest_labels(places: FloatArray, known: Labels) -> IntArray:
     return np.where(distance <= _TRUTH_REACH_M, known.submaps[nearest], -1).astype(np.int64)
 
 
-def poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
-    """(n, 3) poses in the finished map at stamps of registered scans."""
+def poses_at(finished: FinishedMap, stamps_ns: IntArray) -> FloatArray:
+    """(n, 3) poses in the finished map at stamps (n,) of registered scans."""
     way = finished.laid.trajectory
-    _, rows = associate(way.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
+    _, rows = associate(way.stamps_ns, stamps_ns, 0)
     return way.poses[rows]
 
 

@@ -145,7 +145,7 @@ def room_hallway(
     with open_log(asked.log, config.log) as log, KeyframeStore() as store:
         finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
         predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
-        truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
+        truth = asked.kinds(store.stamps_ns)
     return semantic_scores(predicted, truth, finished.laid.labels.submaps, finished.topology.joined)
 
 

@@ -171,9 +171,9 @@ class KeyframeStore:
         return np.array(self._guessed).reshape(-1, 2)
 
     @property
-    def stamps_ns(self) -> tuple[int, ...]:
-        """Header stamp of each keyframe."""
-        return tuple(self._stamps_ns)
+    def stamps_ns(self) -> IntArray:
+        """(n,) header stamp of each keyframe."""
+        return np.array(self._stamps_ns, dtype=np.int64)
 
     def poses_of(self, numbers: Sequence[int]) -> FloatArray:
         """(n, 3) map_from_base of some keyframes as registered."""

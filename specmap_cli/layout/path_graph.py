@@ -144,8 +144,8 @@ def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
     """Keyframe numbers for the graph: the first, the last, one a step of the path, `always`."""
     chosen: list[int] = []
     last: Pose2 | None = None
-    for number, row in enumerate(poses.tolist()):
-        pose = Pose2(*row)
+    for number, row in enumerate(poses):
+        pose = Pose2(*row.tolist())
         due = number in always or number == len(poses) - 1
         if due or moved(last, pose, NODE_M, _NODE_RAD):
             chosen.append(number)

@@ -264,22 +264,20 @@ def bridged(poses: FloatArray, trajectory: Trajectory) -> FloatArray:
     return result
 
 
-def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray) -> IntArray:
-    """Rows of the trajectory that are some keyframes, by their stamps and poses (n, 3), in order.
+def rows_of(trajectory: Trajectory, stamps_ns: IntArray, poses: FloatArray) -> IntArray:
+    """Rows of the trajectory that are some keyframes, by stamps (n,) and poses (n, 3), in order.
 
     Stamps may repeat or step back, so that the two are walked together. Poses may differ by what
     text files round.
     """
     rows: list[int] = []
-    ways = zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True)
-    wanted = list(zip(stamps_ns, poses.tolist(), strict=True))
-    for row, (stamp, pose) in enumerate(ways):
-        if len(rows) == len(wanted):
+    for row, stamp in enumerate(trajectory.stamps_ns):  # no lists: of a long log they are large
+        number = len(rows)
+        if number == len(stamps_ns):
             break
-        keyframe_stamp, keyframe = wanted[len(rows)]
-        if stamp != keyframe_stamp:
+        if stamp != stamps_ns[number]:
             continue
-        x, y, turn = (a - b for a, b in zip(pose, keyframe, strict=True))
+        x, y, turn = (trajectory.poses[row] - poses[number]).tolist()
         if max(abs(x), abs(y), abs(wrap_angle(turn))) <= _SAME:
             rows.append(row)
     return np.array(rows, dtype=np.int64)

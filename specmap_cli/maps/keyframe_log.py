@@ -57,6 +57,7 @@ def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
     links = (MAP_FRAME, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)
     chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
+    stamps = store.stamps_ns.tolist()
     lasers: dict[Pose2, tuple[str, EvenSpacing]] = {}  # each has a frame of its own
     with LogWriter(path) as log:
         for base_from_laser in map(store.base_from_laser, range(len(store))):
@@ -64,10 +65,10 @@ def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None
                 frame = f"{LASER_FRAME}_{len(lasers) + 1}" if lasers else LASER_FRAME
                 lasers[base_from_laser] = frame, EvenSpacing()
                 mounting = Transform(BASE_FRAME, frame, *in_space(_mounting(base_from_laser)))
-                start_ns = store.stamps_ns[0]
+                start_ns = stamps[0]
                 log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
         time_ns = -1
-        for number, (stamp_ns, chain) in enumerate(zip(store.stamps_ns, chains, strict=True)):
+        for number, (stamp_ns, chain) in enumerate(zip(stamps, chains, strict=True)):
             time_ns = max(stamp_ns, time_ns + 1)
             moved = [Transform(*link, *motion) for link, motion in zip(links, chain, strict=True)]
             log.raw(TF, TF_MESSAGE, transforms_cdr(stamp_ns, moved), time_ns)
@@ -90,10 +91,11 @@ def _cut(poses: FloatArray) -> FloatArray:
     return np.asarray(np.round(poses * _PER_UNIT) / _PER_UNIT)
 
 
-def _in_space(poses: FloatArray) -> list[tuple[list[float], list[float]]]:
+def _in_space(poses: FloatArray) -> Iterator[tuple[list[float], list[float]]]:
     """Places and quaternions of poses (n, 3), these in single precision: half as many bytes."""
-    placed = [in_space(Pose2(*pose)) for pose in poses.tolist()]
-    return [(list(place), np.array(turn, dtype=np.float32).tolist()) for place, turn in placed]
+    for pose in poses:
+        place, turn = in_space(Pose2(*pose.tolist()))
+        yield list(place), np.array(turn, dtype=np.float32).tolist()
 
 
 def _mounting(pose: Pose2) -> Pose2:

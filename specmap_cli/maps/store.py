@@ -331,7 +331,7 @@ class Map:
         store = read_keyframes(path, len(stamps_ns), self.limits, numbers)
         try:
             some = slice(None) if numbers is None else numbers
-            if list(store.stamps_ns) != stamps_ns[some].tolist():
+            if not np.array_equal(store.stamps_ns, stamps_ns[some]):
                 raise MapError.damaged(
                     f"its {counted(len(store), 'scan')} are not the "
                     f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",

@@ -69,13 +69,7 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
 
 def labels_text(labels: Labels) -> str:
     """CSV with a header; the last column is empty for a keyframe in no submap."""
-    keyframes = zip(
-        labels.stamps_ns.tolist(), labels.poses.tolist(), labels.submaps.tolist(), strict=True
-    )
-    rows = (
-        [stamp_text(stamp), *map(decimal, pose), submap if submap != NO_SUBMAP else None]
-        for stamp, pose, submap in keyframes
-    )
+    rows = ([stamp_text(stamp), *map(decimal, pose), submap] for stamp, pose, submap in labels)
     return csv_text(LABELS_HEADER.split(","), rows)
 
 
@@ -125,11 +119,11 @@ def trajectory_text(trajectory: Trajectory) -> str:
             remarks[start] = f"{_FOUND}\n"
     lines = []
     for row, (stamp, place, quaternion) in enumerate(
-        zip(trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True)
+        zip(trajectory.stamps_ns.tolist(), places, quaternions, strict=True)
     ):
         lines.append(remarks.get(row, ""))
-        position = " ".join(decimal(value) for value in place)
-        rotation = " ".join(decimal(value, 9) for value in quaternion)
+        position = " ".join(decimal(value) for value in place.tolist())
+        rotation = " ".join(decimal(value, 9) for value in quaternion.tolist())
         lines.append(f"{stamp_text(stamp)} {position} {rotation}\n")
     return "".join(lines)
 

@@ -21,7 +21,7 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.edits import drawn, named
-from specmap_cli.pipelines.learning import Prior, arrays_of, learn
+from specmap_cli.pipelines.learning import Prior, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.reports import run_record
 from specmap_cli.pipelines.session import Session
@@ -69,7 +69,7 @@ def finish(
         laid=laid,
         topology=topology,
         classifiers=learned.classifiers,
-        training_data=learned.training_data,
+        features=learned.features,
         quality=Quality.of([*(one for one in before if one.code != NARROW), *narrow]),
         unapplied=(*unapplied, *laid.lost),
     )
@@ -143,7 +143,6 @@ def write_finished(
             laid.logs,
             finished.quality,
         )
-        give_memory_back()
         run = run_of()
         result = MapResult(
             topology=finished.topology,
@@ -151,7 +150,7 @@ def write_finished(
             trajectory=laid.trajectory,
             labels=laid.labels,
             classifiers=finished.classifiers.to_json(),
-            features=arrays_of(finished.training_data),
+            features=finished.features,
             logs=laid.logs,
             run=run,
             quality=finished.quality,
@@ -159,6 +158,7 @@ def write_finished(
             edits=written(laid.edits, laid.edits_text),
             overview=overview,
         )
+        give_memory_back()
         write_map(directory, result, lambda: scans.result)
     return run
 

@@ -73,10 +73,9 @@ def join(
         before = undone(new.labels.submaps, new.labels.poses, new.borders)
         plain = replace(new, labels=replace(new.labels, submaps=before), borders=())
     submaps = inherit(old, plain, layout.poses, old_from_new, session.config)
-    stamps = np.array(store.stamps_ns, dtype=np.int64)
     joint = LaidOut(
         layout=layout,
-        labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
+        labels=Labels(stamps_ns=store.stamps_ns, poses=layout.poses, submaps=submaps),
         trajectory=_trajectory(old, new, layout.poses),
         stays=stays,
         closures=(*old.closures, *later.closures, *refute(found, constraints, layout)),

@@ -91,10 +91,9 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             mounting=store.base_from_laser(0),
         )
         findings = tuple(of_recording(evidence))
-    stamps = np.array(store.stamps_ns, dtype=np.int64)
     return LaidOut(
         layout=layout,
-        labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
+        labels=Labels(stamps_ns=store.stamps_ns, poses=layout.poses, submaps=submaps),
         trajectory=trajectory,
         stays=explored.regions,
         closures=closures,

@@ -17,7 +17,7 @@ from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.core.worker import ahead
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import integrate_keyframes
-from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
+from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS, Arrays
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
@@ -53,12 +53,12 @@ Taught = tuple[Recogniser, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
 class Learned:
     """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
 
-    `training_data` is what these were learned from.
+    `features` are what these were learned from, as `arrays_of` has it.
     """
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
-    training_data: TrainingData
+    features: Arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
                 calibration=calibration
                 or calibrated(of_raw, of_virtual, another_log=before is not None),
             )
-    return Learned(grids, classifiers, TrainingData.of(samples, beside, along, cast))
+    return Learned(grids, classifiers, arrays_of(TrainingData.of(samples, beside, along, cast)))
 
 
 def submap_grids(
@@ -152,7 +152,7 @@ def _of_raw_scans(
     return raw, held_out, misfit, samples, beside
 
 
-def arrays_of(data: TrainingData) -> dict[str, NDArray[Any]]:
+def arrays_of(data: TrainingData) -> Arrays:
     """Training data as arrays of a file: in half precision, which moves few of them to another bin.
 
     A column a scan: one feature of all scans after the other takes less room.

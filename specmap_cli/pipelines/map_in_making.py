@@ -28,6 +28,7 @@ from specmap_cli.layout.pose_graph import read_g2o
 from specmap_cli.layout.result import Layout, propagated, rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
+from specmap_cli.maps.features_file import Arrays
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 from specmap_cli.pipelines.edits import edits_of_stored
@@ -35,7 +36,6 @@ from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.sampling import TrainingData
 from specmap_cli.segmentation.division import unentered
 from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import (
@@ -129,7 +129,7 @@ class LaidOut:
     def way_through(self, poses: FloatArray) -> FloatArray:
         """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""
         way, labels = self.trajectory, self.labels
-        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
+        rows = rows_of(way, labels.stamps_ns, labels.poses)
         return propagated(way.poses, rows, poses[: len(rows)])
 
     @property
@@ -142,7 +142,7 @@ class LaidOut:
         """What is thought of the map."""
         evidence = Evidence(
             trajectory=self.trajectory,
-            keyframes_ns=tuple(self.labels.stamps_ns.tolist()),
+            keyframes_ns=self.labels.stamps_ns,
             breaks=tuple(self.breaks),
             layout=self.layout,
             beyond=self.beyond,
@@ -156,14 +156,14 @@ class LaidOut:
 class FinishedMap:
     """A map ready to be written.
 
-    `training_data` is what the classifiers learned from; `unapplied` tells what a person decided
-    and does not apply.
+    `features` are what the classifiers learned from, as the map's file has them; `unapplied` tells
+    what a person decided and does not apply.
     """
 
     laid: LaidOut
     topology: TopologicalMap
     classifiers: ClassifierSet
-    training_data: TrainingData
+    features: Arrays
     quality: Quality
     unapplied: tuple[str, ...] = ()
 
@@ -264,7 +264,7 @@ def _trajectory(stored: Map) -> Trajectory:
     """The trajectory of a map directory, which leads through its keyframes."""
     path, labels = stored.path / filenames.TRAJECTORY, stored.labels
     trajectory = stored.trajectory
-    found = rows_of(trajectory, labels.stamps_ns.tolist(), labels.poses)
+    found = rows_of(trajectory, labels.stamps_ns, labels.poses)
     if len(found) != len(labels.stamps_ns) or len(trajectory.stamps_ns) != sum(
         log.scans for log in stored.logs
     ):

@@ -122,7 +122,7 @@ class Evidence:
     """
 
     trajectory: Trajectory
-    keyframes_ns: tuple[int, ...]
+    keyframes_ns: IntArray
     breaks: tuple[int, ...]
     layout: Layout
     beyond: int
@@ -137,7 +137,7 @@ class Evidence:
     def at_keyframe(self, number: int) -> Where:
         """When a keyframe was seen, and where it lies in the map."""
         x, y, _ = self.layout.poses[number].tolist()
-        return Where(self.keyframes_ns[number], x, y)
+        return Where(int(self.keyframes_ns[number]), x, y)
 
     def at_scan(self, row: int) -> Where:
         """When a scan was seen, and where it lies in the map."""
@@ -245,10 +245,11 @@ def _spans(
     if odometry is None:
         return
     # the map has the robot at rest though odometry drives on: so a laser that hangs looks like
-    places, start = [Pose2(*pose) for pose in trajectory.poses.tolist()], 0
+    rest, start = Pose2(*trajectory.poses[0].tolist()), 0
     way_m = ODOMETRY_SLIP_SHARE * ODOMETRY_WINDOW_M  # less may be wheels that slip
-    for row in range(1, len(places)):
-        if not moved(places[start], places[row], STILL_M, STILL_RAD):
+    for row in range(1, len(trajectory.poses)):
+        here = Pose2(*trajectory.poses[row].tolist())
+        if not moved(rest, here, STILL_M, STILL_RAD):
             continue
         driven = _measured(trajectory, start, row - 1)
         if driven is not None and driven.distance > way_m:
@@ -256,7 +257,7 @@ def _spans(
             drives = np.nanmax(steps) < _JUMP * driven.distance  # it does not just jump there
             if drives and not ((start <= missing) & (missing < row)).any():
                 yield start, row, "rest"
-        start = row
+        rest, start = here, row
 
 
 def _registered(trajectory: Trajectory, row: int, step: int) -> int:

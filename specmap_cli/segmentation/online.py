@@ -131,7 +131,7 @@ class OnlineSegmenter:
         if self.observer is not None:
             first, latest = keyframes[[0, -1]].tolist()
             stamps_ns = self._store.stamps_ns
-            seconds = (stamps_ns[latest] - stamps_ns[0]) / 1e9
+            seconds = float(stamps_ns[latest] - stamps_ns[0]) / 1e9
             self.observer(test, split, Occasion(first, latest, seconds))
         if split:
             self._current, left = self._current.split(stays)

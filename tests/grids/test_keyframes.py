@@ -44,7 +44,7 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
         assert len(store) == len(taken)
         np.testing.assert_array_equal(store.poses, np.array([pose for _, pose, _ in taken]))
         np.testing.assert_array_equal(store.poses_of([0, len(taken) - 1]), store.poses[[0, -1]])
-        assert store.stamps_ns == tuple(scan.stamp_ns for scan, _, _ in taken)
+        assert store.stamps_ns.tolist() == [scan.stamp_ns for scan, _, _ in taken]
         for number in reversed(range(len(taken))):
             scan, pose, mounting = taken[number]
             found = store.scan(number)

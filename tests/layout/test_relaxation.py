@@ -364,7 +364,7 @@ def test_every_scan_of_the_trajectory_moves_with_its_keyframe(store: KeyframeSto
     layout = relax(store, [], {}, CONFIG)
     tracked = np.repeat(store.poses, 2, axis=0)
     tracked[1::2] = compose(tracked[1::2], np.array([0.02, 0.0, 0.0]))
-    stamps, tilt = np.repeat(np.array(store.stamps_ns), 2), np.full((len(tracked), 3), 0.1)
+    stamps, tilt = np.repeat(store.stamps_ns, 2), np.full((len(tracked), 3), 0.1)
     trajectory = Trajectory(stamps_ns=stamps, poses=tracked, tilt=tilt)
     rows = rows_of(trajectory, store.stamps_ns, store.poses)
     assert np.array_equal(rows, np.arange(0, len(stamps), 2))
@@ -377,7 +377,7 @@ def test_every_scan_of_the_trajectory_moves_with_its_keyframe(store: KeyframeSto
 
 
 def test_a_trajectory_may_end_before_the_keyframes_do(store: KeyframeStore) -> None:
-    stamps = np.array(store.stamps_ns)
+    stamps = store.stamps_ns
     few = Trajectory(stamps_ns=stamps[:5], poses=store.poses[:5])
     assert rows_of(few, store.stamps_ns, store.poses).tolist() == [0, 1, 2, 3, 4]
     others = Trajectory(stamps_ns=stamps + 1, poses=store.poses)

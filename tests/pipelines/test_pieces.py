@@ -32,7 +32,7 @@ def placed(world: GridMap, motion: tuple[float, float, float], end: int | None =
     with stored(poses, scans_of(world, truth)) as store:
         found = relax(store, (), breaks, Config().relaxation)
         wrong = replace(found, poses=poses, agreement=Agreement(agree=900, contradict=100))
-        tracked = Trajectory(np.array(store.stamps_ns), store.poses)
+        tracked = Trajectory(store.stamps_ns, store.poses)
         return pieces_placed(Session(Config(), store), Pieces(wrong, (), breaks), tracked)
 
 

@@ -27,7 +27,7 @@ def evidence_of(
     fields: dict[str, Any] = {"breaks": (), "beyond": 0, "warnings": (), **told}
     return Evidence(
         trajectory=Trajectory(stamps, poses, odometry=odometry, lost=marks),
-        keyframes_ns=tuple(stamps.tolist()),
+        keyframes_ns=stamps,
         layout=Layout(poses=poses, **(layout or {})),
         **fields,
     )
