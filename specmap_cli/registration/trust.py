@@ -134,8 +134,8 @@ def _concluded(
     """The result, or trusted odometry's own place where that is the better one.
 
     Walls speak for a result a little too far from it, and against its own only if they are clearly
-    better explained, over those that could be seen from both: rooms that look alike explain new
-    walls.
+    better explained: all of them where hardly any is new, else those that could be seen from both,
+    as rooms that look alike explain new walls.
     """
     if fit.score > GOOD_SCORE:  # nearly all walls fit: they all count
         support = Support(score=fit.score, share=1.0, count=len(scene.view.probe))
@@ -152,7 +152,9 @@ def _concluded(
         there = scene.support(own.planar)
         explained = there.share >= ENOUGH and there.score >= SURE_SCORE
         sure = fit.score >= SURE_SCORE or (spoken_for and not scene.is_narrow)
-        if sure and not explained:
+        if sure and there.share >= _NEARLY_ALL:
+            overrules = _outdoes(guess, fit, own, guess.planar)
+        if sure and not (explained or overrules):
             overrules = scene.gain(own.planar, fit.planar) >= _REFUTES
         if not (overrules or _speaks_against(there, scene.config)):
             fit, support = replace(own, refused=fit.refused), there
@@ -201,10 +203,15 @@ def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2
     if support.share < _NEARLY_ALL:
         kept = support.share >= ENOUGH and support.score >= FAIR_SCORE
     else:
-        away = place.inverse() @ found.planar
-        needed = fit.score + _PER_SLACK * guess.reliance.slacks(guess.expected.motion, away)
-        kept = found.score < needed
+        kept = not _outdoes(guess, found, fit, place)
     return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)
+
+
+def _outdoes(guess: MotionGuess, found: Fit, fit: Fit, place: Pose2) -> bool:
+    """Whether walls fit so much better, as far from the place expected as they are found."""
+    away = place.inverse() @ found.planar
+    slacks = guess.reliance.slacks(guess.expected.motion, away)
+    return found.score >= fit.score + _PER_SLACK * slacks
 
 
 def _is_far(guess: MotionGuess, fit: Fit) -> bool:

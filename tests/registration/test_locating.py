@@ -11,7 +11,14 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, Reliance, best_guess
 from specmap_cli.registration.local_map import Fit, Scene
-from specmap_cli.registration.trust import FAIR_SCORE, GOOD_SCORE, POOR_SCORE, Located, judge
+from specmap_cli.registration.trust import (
+    FAIR_SCORE,
+    GOOD_SCORE,
+    POOR_SCORE,
+    SURE_SCORE,
+    Located,
+    judge,
+)
 from specmap_cli.registration.trust import locate as located_by
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import expecting, guess_of, scene_in, scene_of, turned
@@ -190,6 +197,17 @@ def corridor(length_m: float, end_m: float | None = None) -> FloatArray:
 def scene_in_corridor(end_m: float | None = None) -> Scene:
     """A corridor, which the map knows farther than the sweep sees."""
     return scene_of(corridor(20.0, end_m), corridor(30.0, end_m), ToldAligner())
+
+
+def test_nothing_new_in_sight_overrules_odometry_at_whose_place_most_walls_fit() -> None:
+    """Stamps of wheels and laser are apart: the robot is still where wheels say that it left."""
+    walls = np.concatenate([corridor(10.0), line(5.0, np.linspace(-1.0, 1.0, 180))])
+    scene = scene_of(walls + (0.2, 0.0), walls, ToldAligner(), looked_m=9.0)
+    assert SURE_SCORE < scene.score(IDENTITY) < GOOD_SCORE
+    located = locate(scene, IDENTITY, expecting(), IDENTITY)
+    assert located.overrules
+    assert located.fit.planar.x == pytest.approx(-0.2, abs=0.05)
+    assert located.fit.score > 0.95
 
 
 @pytest.mark.parametrize(("points", "taken"), [(30, False), (200, True)])
