@@ -23,6 +23,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
 from specmap_cli.registration.aligner import SensorKind, aligner_factory
 from specmap_cli.registration.guess import (
+    SEARCH_RAD,
     SIGMAS,
     UNKNOWN,
     ExpectedMotion,
@@ -169,7 +170,7 @@ class FrontEnd:
             agrees=judgement.agrees,
             lost=judgement.lost,
             restarted=restarted,
-            bridge=track.bridge if restarted else None,
+            bridge=track.bridge(self.config) if restarted else None,
             guessed_m=self._track.guessed_m,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=judgement.fit.pose if in_space else None,
@@ -222,7 +223,6 @@ class FrontEnd:
         self.counts["lost" if judgement.lost else "registered"] += 1
         lost_in_a_row = track.lost_in_a_row + 1 if judgement.lost else 0
         founded = track.founded or judgement.founds
-        walls = walls and not judgement.lost
         if not judgement.lost:
             track = track.guessing(judgement, step if walls else None)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
@@ -230,9 +230,11 @@ class FrontEnd:
             local.clear()
             self.counts["breaks"] += 1
             left = track.left if track.keyframe is None else track.keyframe
-            track = replace(track, keyframe=None, left=left, broken=True, founded=False)
+            track = replace(
+                track, keyframe=None, left=left, broken=True, contradicted=walls, founded=False
+            )
         due = moved(track.keyframe, fit.planar, _KEYFRAME_M, _KEYFRAME_RAD)
-        if due and walls:
+        if due and walls and not judgement.lost:
             local.insert(view, fit.pose)
             reliance = track.reliance
             if track.keyframe is not None and track.measured and judgement.certain:
@@ -248,6 +250,7 @@ class FrontEnd:
                 by_motion=fit.planar,
                 measured=True,
                 broken=False,
+                contradicted=False,
                 reliance=reliance,
             )
         self._track = track
@@ -260,9 +263,10 @@ class Track:
     `pose` (4, 4) is that of the base in the map. `keyframe` is the pose of the last keyframe, None
     without a map; `by_motion` is the place that the expected motions alone lead to from there, all
     of them `measured` by odometry or not. `lost_in_a_row` sweeps were lost up to now; `broken` says
-    that they ended the last map, whose last keyframe was at `left`. The map is `founded` when a
-    second sweep agrees with its first. `steady` are the latest motions that walls fixed. What was
-    guessed up to now, since walls do not fix it, may be off by `guessed_m`, in the map.
+    that they ended the last map, whose last keyframe was at `left`, `contradicted` that their walls
+    did not fit where odometry led. The map is `founded` when a second sweep agrees with its first.
+    `steady` are the latest motions that walls fixed. What was guessed up to now, since walls do not
+    fix it, may be off by `guessed_m`, in the map.
     """
 
     pose: FloatArray = field(default_factory=lambda: np.eye(4))
@@ -272,6 +276,7 @@ class Track:
     measured: bool = True
     lost_in_a_row: int = 0
     broken: bool = False
+    contradicted: bool = False
     founded: bool = False
     reliance: Reliance = UNKNOWN
     steady: tuple[Pose2, ...] = ()
@@ -295,16 +300,19 @@ class Track:
         x, y = (self.guessed_m + _CARRIED * float(loose @ way) * loose).tolist()
         return replace(self, steady=steady, guessed_m=(x, y))
 
-    @property
-    def bridge(self) -> tuple[float, float] | None:
+    def bridge(self, config: RegistrationConfig) -> tuple[float, float] | None:
         """Standard deviations of odometry across a break, metres and radians; None without it.
 
-        Odometry that led where the walls contradict it is taken to err by all it has ever erred.
+        Where walls contradict it, it says no more than where they were searched for in vain.
         """
         if self.left is None or not self.measured:
             return None
         slack = self.reliance.slack(self.left.inverse() @ self.by_motion)
-        return slack.place_m / SIGMAS, slack.turn_rad / SIGMAS
+        place_m, turn_rad = slack.place_m, slack.turn_rad
+        if self.contradicted:
+            place_m = max(place_m, config.max_shift_m)
+            turn_rad = max(turn_rad, SEARCH_RAD)
+        return place_m / SIGMAS, turn_rad / SIGMAS
 
     def is_carried(self, config: RegistrationConfig) -> bool:
         """Whether odometry alone tells the place well enough to go on with it.

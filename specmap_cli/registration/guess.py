@@ -54,7 +54,7 @@ _CARRIED_M, _CARRIED_RAD = 0.1, 0.12
 _CARRIED_SHARE, _CARRIED_TURN_SHARE = 0.2, 0.3
 
 SEARCH_M = 0.25  # half width of the search: odometry's error
-_SEARCH_RAD = 0.35  # half angle of the search: a clock apart, in a turn
+SEARCH_RAD = 0.35  # half angle of the search: a clock apart, in a turn
 _BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
 _BLIND_SEARCH_M = 0.3  # half width of the search without odometry
 _BLIND_SEARCH_RAD = 0.5  # half angle of the search without odometry
@@ -337,7 +337,7 @@ class MotionGuess:
     def beyond_search(self) -> bool:
         """Whether odometry measured so long a motion that its error may exceed every search."""
         slack = self.reliance.slack(self.expected.motion)
-        beyond = slack.place_m > _WIDE_SEARCH_M or slack.turn_rad > _SEARCH_RAD
+        beyond = slack.place_m > _WIDE_SEARCH_M or slack.turn_rad > SEARCH_RAD
         return self.expected.measured and beyond
 
     @property
@@ -356,7 +356,7 @@ class MotionGuess:
                 place = self.pose.copy()
                 place[:3, 3] += share * (backwards[:3, 3] - self.pose[:3, 3])
                 places.append(place)
-        if abs((expected.motion.inverse() @ expected.carried).theta) > _SEARCH_RAD:
+        if abs((expected.motion.inverse() @ expected.carried).theta) > SEARCH_RAD:
             places.append(product(self.before, expected.carried.matrix()))
         return places if expected.measured else []
 
@@ -410,7 +410,7 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
         return found[1].pose if is_better else guess
     apart = expected.motion.inverse() @ expected.carried
     alike = apart.distance < _SMALL_M and abs(apart.theta) < _SMALL_RAD  # aligned to one place
-    if alike or apart.distance > _WIDE_SEARCH_M or abs(apart.theta) > _SEARCH_RAD:
+    if alike or apart.distance > _WIDE_SEARCH_M or abs(apart.theta) > SEARCH_RAD:
         return guess
     places = [Pose2.from_matrix(pose) for pose in (guess, other)]
     by_odometry, by_motion = (scene.score(place) for place in places)
@@ -424,7 +424,7 @@ def near_window(*, measured: bool) -> Window:
     """Where odometry's errors, or the changes of an unmeasured motion, can have led."""
     return Window(
         distance_m=SEARCH_M if measured else _BLIND_SEARCH_M,
-        angle_rad=_SEARCH_RAD if measured else _BLIND_SEARCH_RAD,
+        angle_rad=SEARCH_RAD if measured else _BLIND_SEARCH_RAD,
         step_m=_STEP_M,
         penalty_per_m2=_PER_M2,
         penalty_per_rad2=_PER_RAD2,
@@ -440,7 +440,7 @@ def wide_search(guess: MotionGuess, config: RegistrationConfig) -> tuple[Window,
     free, slipped_m = not guess.trusted, _WIDE_SEARCH_M + guess.expected.motion.distance
     window = Window(
         distance_m=_WIDE_SEARCH_M if free else min(config.max_shift_m, slipped_m),
-        angle_rad=_WIDE_SEARCH_RAD if free else _SEARCH_RAD,
+        angle_rad=_WIDE_SEARCH_RAD if free else SEARCH_RAD,
         step_m=_WIDE_STEP_M,
         penalty_per_m2=_WIDE_PER_M2,
         penalty_per_rad2=_WIDE_PER_RAD2,
@@ -450,5 +450,5 @@ def wide_search(guess: MotionGuess, config: RegistrationConfig) -> tuple[Window,
         return window, bounds
     corner_m = math.hypot(_WIDE_SEARCH_M, _WIDE_SEARCH_M)
     shift_m = max(bounds.shift_m, corner_m + _WIDE_STEP_M)
-    shift_rad = max(bounds.shift_rad, _WIDE_SEARCH_RAD + _SEARCH_RAD)
+    shift_rad = max(bounds.shift_rad, _WIDE_SEARCH_RAD + SEARCH_RAD)
     return window, replace(bounds, shift_m=shift_m, shift_rad=shift_rad)

@@ -19,6 +19,7 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.frontend import COUNTS, Track
+from specmap_cli.registration.guess import SEARCH_RAD, SIGMAS
 from specmap_cli.registration.local_map import Fit
 from specmap_cli.registration.trust import Judgement
 from tests.registration.aligners import ToldAligner, offer
@@ -72,6 +73,8 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     assert [scan.index for scan in scans if scan.lost] == [40, 41, 42, 43, 44]
     assert [scan.index for scan in scans if scan.restarted] == [45]
     assert front_end.counts["breaks"] == 1
+    config = front_end.config
+    assert scans[45].bridge == (config.max_shift_m / SIGMAS, SEARCH_RAD / SIGMAS)
     assert worst(scans[45:], np.array(elsewhere[5:]))[0] < 0.08
     assert np.hypot(*np.diff([scan.map_from_base[:2] for scan in scans], axis=0).T).max() < 0.3
 
@@ -86,6 +89,14 @@ def test_blank_scans_keep_odometry_s_pose(world: GridMap, reading: float, lost: 
     assert [scan.index for scan in scans if scan.lost] == lost
     assert worst(scans, path()[:30])[0] < 0.1
     assert front_end.counts["breaks"] == 0
+
+
+def test_blank_scans_that_end_a_map_do_not_contradict_odometry(world: GridMap) -> None:
+    items = sweeps(world, path()[:30])
+    items[10:18] = [with_ranges(sweep, np.full(240, np.nan)) for sweep in items[10:18]]
+    (bridge,) = (scan.bridge for scan in run(items)[1] if scan.restarted)
+    assert bridge is not None
+    assert np.less(bridge, (0.2, 0.1)).all()
 
 
 def test_random_scans_never_make_the_pose_fly_off() -> None:
