@@ -20,7 +20,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Weakest, Window, search, weakest_direction
-from specmap_cli.grids.score_field import PointCells, ScoreField, approach
+from specmap_cli.grids.score_field import FieldArray, PointCells, ScoreField, approach
 from specmap_cli.registration.aligner import (
     REBUILD_KEYFRAMES,
     WINDOW_KEYFRAMES,
@@ -231,13 +231,20 @@ class Scene:
 
         It is 0 where there are none of them.
         """
+        before, after = self._compared(place, other)
+        return float(after.mean() - before.mean()) if len(after) else 0.0
+
+    def points_gained(self, place: Pose2, other: Pose2) -> float:
+        """The same in points: how many more of them lie on walls."""
+        before, after = self._compared(place, other)
+        return float(after.sum() - before.sum())
+
+    def _compared(self, place: Pose2, other: Pose2) -> tuple[FieldArray, FieldArray]:
+        """(N,) and (N,) what the points that both could have seen score at either."""
         here, there = (pose.apply(self.view.probe) for pose in (place, other))
-        seen = self.local.seen
+        seen, walls = self.local.seen, self.local.field
         both = (seen.values_at(here) == FREE) & (seen.values_at(there) == FREE)
-        if not both.any():
-            return 0.0
-        walls = self.local.field
-        return float(walls.at(there[both]).mean() - walls.at(here[both]).mean())
+        return walls.at(here[both]), walls.at(there[both])
 
     def weakest(self, place: Pose2, *, known: bool) -> Weakest:
         """How well walls, or the `known` ones alone, fix a place where they do so least.

@@ -46,6 +46,7 @@ _NEARLY_ALL = 0.9  # share of a sweep's walls that could be seen, from which on 
 # odometry that is trusted.
 _NEARLY, _ROUGHLY = 2.0, 3.0
 _PER_SLACK = 0.05  # score that a place must have more for each slack away from odometry's
+_POINTS_PER_SLACK = 2.5  # the same in points that fit better, where a sweep is narrow
 # Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
 _REFUTES = 0.25
 
@@ -113,7 +114,7 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
             window = replace(window, angle_rad=config.max_shift_rad)
         found = scene.search(guess.pose, window, _WIDER_KERNELS, reach)
         # wheels give way to walls that object to their place, not to few that fit elsewhere, too
-        if contradicted:
+        if contradicted and not scene.is_narrow:
             fit = fit.or_better(found)
         else:
             fit = _better(scene, guess, fit, found, guess.planar)
@@ -143,7 +144,8 @@ def _concluded(
         support = scene.support(fit.planar)
     agrees, overrules, unaligned = guess.agrees(fit), False, False
     spoken_for = support.share >= MOST and support.score >= SURE_SCORE
-    if guess.expected.measured and spoken_for and not agrees:
+    weighed = scene.is_narrow and guess.trusted
+    if guess.expected.measured and spoken_for and not (agrees or weighed):
         agrees = guess.agrees(fit, _ROUGHLY if guess.trusted else _NEARLY)
     if guess.trusted and not agrees and (searched or fit.score < SURE_SCORE):
         own = scene.align(guess.pose, _FINE_KERNELS)  # on walls near by, if that agrees
@@ -151,7 +153,8 @@ def _concluded(
             own = Fit(pose=guess.pose, score=scene.score(guess.planar))
         there = scene.support(own.planar)
         explained = there.share >= ENOUGH and there.score >= SURE_SCORE
-        sure = fit.score >= SURE_SCORE or (spoken_for and not scene.is_narrow)
+        overrules = weighed and _outweighs(scene, guess, fit, own, guess.planar)
+        sure = not weighed and (fit.score >= SURE_SCORE or spoken_for)
         if sure and there.share >= _NEARLY_ALL:
             overrules = _outdoes(guess, fit, own, guess.planar)
         if sure and not (explained or overrules):
@@ -197,6 +200,9 @@ def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2
     New walls that lie on old ones somewhere else do not outweigh trusted odometry. Where hardly any
     is new, a place that fits better by so much that odometry errs so does.
     """
+    if scene.is_narrow and guess.expected.measured:
+        best = found if _outweighs(scene, guess, found, fit, place) else fit
+        return replace(best, refused=fit.refused + found.refused)
     if not (guess.agrees(fit) and guess.denies(found)):
         return fit.or_better(found)
     support = scene.support(fit.planar)
@@ -214,6 +220,18 @@ def _outdoes(guess: MotionGuess, found: Fit, fit: Fit, place: Pose2) -> bool:
     return found.score >= fit.score + _PER_SLACK * slacks
 
 
+def _outweighs(scene: Scene, guess: MotionGuess, found: Fit, fit: Fit, place: Pose2) -> bool:
+    """Whether walls say more for a result than odometry, which expects `place`, for another one.
+
+    A camera sees a few metres of wall, and these fit other walls, too: so what speaks for a result
+    are the points that fit better, and not their share.
+    """
+    motion = guess.expected.motion
+    far = guess.reliance.slacks(motion, place.inverse() @ found.planar)
+    near = guess.reliance.slacks(motion, guess.planar.inverse() @ fit.planar)
+    return scene.points_gained(fit.planar, found.planar) > _POINTS_PER_SLACK * (far - near)
+
+
 def _is_far(guess: MotionGuess, fit: Fit) -> bool:
     """Whether an alignment ended farther from its guess than most do."""
     away = guess.planar.inverse() @ fit.planar
@@ -224,7 +242,8 @@ def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     """The pose that odometry and walls tell together, each weighed by how well it knows it.
 
     What a camera sees at once seldom fixes a pose in all directions, and turning it sees other
-    walls: its errors add up along a wall and in turns, where wheels know more.
+    walls: its errors add up along a wall and in turns, where wheels know more. Walls that object to
+    the pose between them show that wheels slipped.
     """
     slack, away = guess.reliance.slack(guess.since), guess.by_motion.inverse() @ fit.planar
     sigmas = np.array([slack.along_m, slack.across_m, slack.turn_rad]) / SIGMAS
@@ -232,10 +251,8 @@ def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     odometry = np.diag(sigmas**-2)
     walls = scene.weakest(fit.planar, known=True).fisher / _READING_M**2
     moved = guess.by_motion @ Pose2(*np.linalg.solve(walls + odometry, walls @ away).tolist())
-    score = scene.score(moved)
-    if score < fit.score - _OBJECTS and scene.gain(fit.planar, moved) < -_OBJECTS:
-        return fit
-    return replace(fit.moved_to(moved, score), aligned=fit.planar)
+    fused = replace(fit.moved_to(moved, scene.score(moved)), aligned=fit.planar)
+    return fit if _outweighs(scene, guess, fit, fused, guess.planar) else fused
 
 
 def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
