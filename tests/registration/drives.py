@@ -35,13 +35,14 @@ def sweeps(
     beams: int = 240,
     reach: float = 10.0,
     odometry: bool = True,
+    seed: int = 0,
 ) -> list[Sweep]:
     """What a laser mounted askew sees from the poses, and slightly wrong odometry."""
     full = field_of_view > 6.2
     half = field_of_view / 2
     bearings = np.linspace(-half, half, beams, endpoint=not full)
     lasers = compose(truth, np.array(LASER))
-    seen, rng = ranges_at(world, lasers, bearings, reach), np.random.default_rng(0)
+    seen, rng = ranges_at(world, lasers, bearings, reach), np.random.default_rng(seed)
     odom, result = np.array([3.0, -2.0, 1.0]), []
     steps = compose(invert(truth[:-1]), truth[1:])
     for k, ranges in enumerate(seen):

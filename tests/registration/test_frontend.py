@@ -56,10 +56,12 @@ def test_all_lasers(world: GridMap, view: float, beams: int, reach: float, odome
 
 
 def test_what_a_depth_camera_leaves_open_odometry_tells(world: GridMap) -> None:
-    items = sweeps(world, truth := path(), 1.0, 160, 4.0)
-    assert np.less(worst(run(items)[1], truth), (0.15, 0.04)).all()
+    draws = [sweeps(world, truth := path(), 1.0, 160, 4.0, seed=seed) for seed in range(3)]
+    errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
+    assert np.less(errors, (0.18, 0.04)).all()
     with constants("registration.local_map", _NARROW_RAD=0.0):
-        assert np.greater(worst(run(items)[1], truth), (0.25, 0.1)).all()
+        errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
+    assert np.greater(errors, (0.25, 0.1)).all()
 
 
 def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -> None:

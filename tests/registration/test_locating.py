@@ -22,6 +22,7 @@ from specmap_cli.registration.trust import (
 from specmap_cli.registration.trust import locate as located_by
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import expecting, guess_of, scene_in, scene_of, turned
+from tests.turning import turned as constants
 
 
 def locate(
@@ -183,6 +184,20 @@ def test_against_trusted_odometry_turns_are_searched_to_a_bound(turn: float, fou
     assert located.wide_searched
     assert (abs(located.fit.planar.theta - turn) < 0.05) == found
     assert abs(located.fit.planar.theta) <= 0.8
+
+
+@pytest.mark.parametrize(
+    ("every", "narrow", "found"), [(20, True, False), (20, False, True), (2, True, True)]
+)
+def test_of_a_narrow_sweep_points_count_and_not_their_share(
+    every: int, narrow: bool, found: bool
+) -> None:
+    """All points fit the room turned by 0.3 rad; odometry says that the robot did not turn."""
+    scene = scene_of(box(-0.3)[::every], box(0.0), ToldAligner(), looked_m=9.0)
+    with constants("registration.local_map", _NARROW_RAD=7.0 if narrow else 0.0):
+        located = locate(scene, IDENTITY, expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
+    assert located.overrules == found
+    assert located.fit.planar.theta == pytest.approx(0.3 if found else 0.0, abs=0.06)
 
 
 def corridor(length_m: float, end_m: float | None = None) -> FloatArray:
