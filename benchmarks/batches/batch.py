@@ -1,8 +1,8 @@
-"""Batches: nothing lost, nothing half-written, nothing done twice, whoever is killed; and speed.
+"""Batches: nothing lost, nothing half-written, nothing done twice, though it is killed; and speed.
 
 Makes short logs (logs.py), one in ten of them damaged or in want of memory, and does them on two
 workers. Then every fourth log on one worker and on two, for the wall times. Then all of them again
-while the client or a worker is killed at random, and started again until the batch is whole.
+in a batch that is killed time and again at random, and started again until it is whole.
 """
 
 from __future__ import annotations
@@ -10,14 +10,11 @@ from __future__ import annotations
 import hashlib
 import json
 import random
-import signal
 import subprocess
 import sys
 import time
 from collections import Counter
 from pathlib import Path
-
-import psutil
 
 from benchmarks.batches.logs import make_logs
 from benchmarks.scoreboard.bench import Bench
@@ -45,7 +42,7 @@ ROWS = (
 
 
 def measure(bench: Bench) -> Figures:
-    """The same logs in peace, by one worker and by two, and with somebody killed now and then."""
+    """The same logs in peace, by one worker and by two, and by a batch that is killed at times."""
     with bench.scratch("batches") as folder:
         logs, out, again = folder / "logs", folder / "maps", folder / "again"
         bad = make_logs(logs, LOGS)
@@ -53,11 +50,11 @@ def measure(bench: Bench) -> Figures:
         expected, wrong = results(out), judge(out, bad, LOGS)
         some = sorted(logs.iterdir())[::4]
         one, two = (whole(some, folder / f"by-{n}", "--workers", str(n)) for n in (1, WORKERS))
-        killed = tormented(logs, again, wall / KILLS)
+        tormented(logs, again, wall / (2 * KILLS))
         after, found = judge(again, bad, LOGS), results(again)
         after += [f"differs: {name}" for name in expected if found.get(name) != expected[name]]
         again_done = twice(again)
-    print(f"{LOGS} logs in {wall:.0f} s; one worker {one:.0f} s, two {two:.0f} s; killed {killed}")
+    print(f"{LOGS} logs in {wall:.0f} s; one worker {one:.0f} s, two {two:.0f} s")
     print("\n".join([*wrong, *after, *again_done]))
     return {
         "wrong": len(wrong),
@@ -109,23 +106,19 @@ def judge(out: Path, bad: dict[str, str], count: int) -> list[str]:
     return [*wrong, *(f"left behind: {name}" for name in left)]
 
 
-def tormented(logs: Path, out: Path, pace_s: float, seed: int = 1) -> Counter[str]:
-    """Run a batch, killing somebody now and then; whoever was killed starts again."""
-    chance, killed = random.Random(seed), Counter[str]()
-    process = None
-    while process is None or process.returncode not in (0, 5):
-        process = batch(logs, out, "--workers", str(WORKERS), "--retries", "50")
-        while process.poll() is None and sum(killed.values()) < KILLS:
-            until = time.monotonic() + chance.uniform(0.4, 1.6) * pace_s
-            while process.poll() is None and time.monotonic() < until:
-                time.sleep(0.2)
-            victim = ("client", "worker")[sum(killed.values()) % 2]
-            if process.poll() is None and _killed(victim, process, chance):
-                killed[victim] += 1
-        process.wait()
-        if process.returncode not in (0, 4, 5, -signal.SIGKILL):
-            raise RuntimeError(f"batch ended with {process.returncode}: {_said(process)}")
-    return killed
+def tormented(logs: Path, out: Path, pace_s: float, seed: int = 1) -> None:
+    """Run a batch that is killed `KILLS` times, with its workers, and started again."""
+    chance = random.Random(seed)
+    for _ in range(KILLS):
+        process = batch(logs, out, "--workers", str(WORKERS))
+        try:
+            process.wait(chance.uniform(0.4, 1.6) * pace_s)
+        except subprocess.TimeoutExpired:
+            process.kill()  # its steps must end by themselves
+            process.wait()
+        else:
+            raise RuntimeError("the batch ended before it was killed often enough")
+    whole(logs, out, "--workers", str(WORKERS))
 
 
 def twice(out: Path) -> list[str]:
@@ -138,26 +131,9 @@ def twice(out: Path) -> list[str]:
     return sorted(name for name, times in done.items() if times > 1)
 
 
-def _killed(victim: str, process: subprocess.Popen[bytes], chance: random.Random) -> bool:
-    if victim == "client":
-        process.kill()  # its workers and their steps must end by themselves
-        process.wait()
-        return True
-    children = psutil.Process(process.pid).children()
-    workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
-    if not workers:
-        return False
-    chance.choice(workers).kill()
-    return True
-
-
 def _hash(folder: Path) -> str:
     found = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name not in _NOT_OF_THE_RESULT:
             found.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
     return found.hexdigest()
-
-
-def _said(process: subprocess.Popen[bytes]) -> str:
-    return "" if process.stderr is None else process.stderr.read().decode()

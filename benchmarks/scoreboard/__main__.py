@@ -56,9 +56,7 @@ def main() -> int:
         return 0
     if given.only:
         return _only(given.only, named, given.work, given.again)
-    sections = [section for section in SECTIONS if not section.long]
-    if given.quick:
-        sections = [section for section in sections if section.quick]
+    sections = [section for section in SECTIONS if section.quick or not given.quick]
     return _all(sections, given.work, given.again, write=not given.quick)
 
 

@@ -66,7 +66,7 @@ def page_of(sections: Sequence[Section], done: Mapping[str, Done], before: Page 
             "python": platform.python_version(),
         },
         "seconds": round(sum(each.seconds for each in done.values())),
-        "sections": [_section(section, done.get(section.name), old) for section in sections],
+        "sections": [_section(section, done[section.name], old) for section in sections],
     }
 
 
@@ -76,8 +76,7 @@ def _processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _section(section: Section, done: Done | None, old: Mapping[str, Any]) -> Page:
-    found = Done({}, why="run alone: it takes too long for the others") if done is None else done
+def _section(section: Section, found: Done, old: Mapping[str, Any]) -> Page:
     rows = []
     for row in rows_of(section):
         one = found.figures.get(row.key, Figure(None))

@@ -72,8 +72,7 @@ class Section:
 
     `module` has a function `measure(bench)`, which returns a figure for each of its `ROWS`, by
     their keys. `needs` are the folders of the data that it uses. A `quick` section is part of
-    `--quick`; one that is `timed` runs while nothing else does; a `long` one runs only when it is
-    named.
+    `--quick`; one that is `timed` runs while nothing else does.
     """
 
     name: str
@@ -82,7 +81,6 @@ class Section:
     needs: tuple[str, ...] = ()
     quick: bool = False
     timed: bool = False
-    long: bool = False
 
 
 def figure(value: Figure | float) -> Figure:

@@ -60,5 +60,5 @@ SECTIONS = (
     Section("using", "Cost of using it", f"{_COST}.using", ("cold",), quick=True, timed=True),
     Section("weight", "Weight of the tree", f"{_COST}.weight", quick=True),
     Section("gate", "The gate", f"{_COST}.gate", timed=True),
-    Section("batches", "Batches", "benchmarks.batches.batch", long=True),
+    Section("batches", "Batches", "benchmarks.batches.batch", timed=True),
 )

@@ -127,7 +127,6 @@ class TestPage:
         lacking = page.page_of([SECTION], {"made": Done({}, why="no data: rooms")}, None)
         assert "--only made` (no data: rooms)" in page.markdown(lacking)
         assert "| walls that agree | - | 0.900 | 1.000 |  |  |" in page.markdown(lacking)
-        assert "takes too long" in page.markdown(page.page_of([SECTION], {}, None))
 
     def test_the_figure_before_is_that_of_another_tree(self) -> None:
         first = page_of(made(0.8, [5.0]))
