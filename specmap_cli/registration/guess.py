@@ -373,6 +373,11 @@ class MotionGuess:
         turn_rad = slacks * (_CARRIED_RAD + _CARRIED_TURN_SHARE * abs(motion.theta))
         return near and abs(away.theta) < turn_rad
 
+    def agrees_since_keyframe(self, fit: Fit) -> bool:
+        """Whether odometry's whole motion since the last keyframe can have led to a result."""
+        away = self.by_motion.inverse() @ fit.planar
+        return self.expected.measured and self.reliance.slacks(self.since, away) < 1.0
+
     @property
     def carried_slack_m(self) -> float:
         """How far the place can be from where a motion carried on leads."""

@@ -143,6 +143,8 @@ def _concluded(
     else:
         support = scene.support(fit.planar)
     agrees, overrules, unaligned = guess.agrees(fit), False, False
+    if scene.is_narrow:
+        agrees = agrees or guess.agrees_since_keyframe(fit)
     spoken_for = support.share >= MOST and support.score >= SURE_SCORE
     weighed = scene.is_narrow and guess.trusted
     if guess.expected.measured and spoken_for and not (agrees or weighed):
@@ -220,15 +222,20 @@ def _outdoes(guess: MotionGuess, found: Fit, fit: Fit, place: Pose2) -> bool:
     return found.score >= fit.score + _PER_SLACK * slacks
 
 
-def _outweighs(scene: Scene, guess: MotionGuess, found: Fit, fit: Fit, place: Pose2) -> bool:
+def _outweighs(
+    scene: Scene, guess: MotionGuess, found: Fit, fit: Fit, place: Pose2, *, since: bool = False
+) -> bool:
     """Whether walls say more for a result than odometry, which expects `place`, for another one.
 
-    A camera sees a few metres of wall, and these fit other walls, too: so what speaks for a result
-    are the points that fit better, and not their share.
+    Odometry's motion is that from the sweep before, or `since` the last keyframe. A camera sees a
+    few metres of wall, and these fit other walls, too: so what speaks for a result are the points
+    that fit better, and not their share.
     """
-    motion = guess.expected.motion
+    motion, own = guess.expected.motion, guess.planar
+    if since:
+        motion, own = guess.since, guess.by_motion
     far = guess.reliance.slacks(motion, place.inverse() @ found.planar)
-    near = guess.reliance.slacks(motion, guess.planar.inverse() @ fit.planar)
+    near = guess.reliance.slacks(motion, own.inverse() @ fit.planar)
     return scene.points_gained(fit.planar, found.planar) > _POINTS_PER_SLACK * (far - near)
 
 
@@ -243,7 +250,8 @@ def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
 
     What a camera sees at once seldom fixes a pose in all directions, and turning it sees other
     walls: its errors add up along a wall and in turns, where wheels know more. Walls that object to
-    the pose between them show that wheels slipped.
+    the pose between them show that wheels slipped since the last keyframe: held to its motion from
+    the sweep before alone, odometry could not mend what many small errors have added up to.
     """
     slack, away = guess.reliance.slack(guess.since), guess.by_motion.inverse() @ fit.planar
     sigmas = np.array([slack.along_m, slack.across_m, slack.turn_rad]) / SIGMAS
@@ -252,7 +260,8 @@ def _fused(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     walls = scene.weakest(fit.planar, known=True).fisher / _READING_M**2
     moved = guess.by_motion @ Pose2(*np.linalg.solve(walls + odometry, walls @ away).tolist())
     fused = replace(fit.moved_to(moved, scene.score(moved)), aligned=fit.planar)
-    return fit if _outweighs(scene, guess, fit, fused, guess.planar) else fused
+    slipped = _outweighs(scene, guess, fit, fused, guess.by_motion, since=True)
+    return fit if slipped else fused
 
 
 def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:

@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LogConfig, RegistrationConfig
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
@@ -58,10 +58,20 @@ def test_all_lasers(world: GridMap, view: float, beams: int, reach: float, odome
 def test_what_a_depth_camera_leaves_open_odometry_tells(world: GridMap) -> None:
     draws = [sweeps(world, truth := path(), 1.0, 160, 4.0, seed=seed) for seed in range(3)]
     errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
-    assert np.less(errors, (0.18, 0.04)).all()
+    assert np.less(errors, (0.15, 0.04)).all()
     with constants("registration.local_map", _NARROW_RAD=0.0):
         errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
     assert np.greater(errors, (0.25, 0.1)).all()
+
+
+def test_along_a_bare_corridor_a_depth_camera_does_not_stand_still() -> None:
+    """Centimetres from scan to scan: odometry, 5 % off, tells more than walls that look alike."""
+    cells = np.full((60, 400), OCCUPIED, dtype=np.uint8)
+    cells[10:50, 10:390] = FREE
+    x = np.arange(2.0, 8.0, 0.025)
+    truth = np.column_stack([x, np.full(len(x), 1.5), np.zeros(len(x))])
+    _, scans = run(sweeps(GridMap(cells, 0.05), truth, 1.5, 200, 6.0))
+    assert np.less(worst(scans, truth), (0.6, 0.03)).all()
 
 
 def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -> None:

@@ -214,6 +214,17 @@ def scene_in_corridor(end_m: float | None = None) -> Scene:
     return scene_of(corridor(20.0, end_m), corridor(30.0, end_m), ToldAligner())
 
 
+def test_of_a_narrow_sweep_odometry_counts_since_the_last_keyframe() -> None:
+    """From sweep to sweep the robot fell back a little, along a bare corridor by half a metre."""
+    guess = guess_of(Pose2(-0.5, 0.0, 0.0), expecting(Pose2(0.02, 0.0, 0.0)))
+    guess = replace(guess, since=Pose2(2.0, 0.0, 0.0))
+    with constants("registration.local_map", _NARROW_RAD=7.0):
+        located = located_by(scene_in_corridor(), guess)
+    assert located.fit.planar.distance < 0.01
+    assert located.agrees
+    assert not guess.agrees(located.fit), "half a metre is too much for a step of two centimetres"
+
+
 def test_nothing_new_in_sight_overrules_odometry_at_whose_place_most_walls_fit() -> None:
     """Stamps of wheels and laser are apart: the robot is still where wheels say that it left."""
     walls = np.concatenate([corridor(10.0), line(5.0, np.linspace(-1.0, 1.0, 180))])
