@@ -92,6 +92,18 @@ def test_links_lead_somewhere() -> None:
     assert broken == []
 
 
+def test_what_examples_import_exists() -> None:
+    missing = []
+    for path, text in TEXTS.items():
+        for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("specmap"):
+                    module = importlib.import_module(node.module or "")
+                    names = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+                    missing += [f"{named(path)}: {node.module}.{name}" for name in names]
+    assert missing == []
+
+
 def test_options_shown_exist() -> None:
     anywhere = set().union(*OPTIONS.values())
     unknown = []
