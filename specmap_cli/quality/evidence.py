@@ -27,8 +27,6 @@ from specmap_cli.core.geometry import (
     moved,
     path_length,
     step_lengths,
-    travelled,
-    wrap_angles,
 )
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -38,10 +36,14 @@ from specmap_cli.layout.result import Layout
 MOVED_M = 1.0  # a piece that the layout moved farther is told of
 MOVED_VOTES = 3  # a piece that was moved is doubtful when fewer matches say so
 SAME_PLACE_M = 5.0  # disagreements, and matches, this near are of one place
+ODOMETRY_SHARE = 0.3  # share of the way by which map and odometry may differ: wheels err less
 ODOMETRY_WINDOW_M = 5.0  # way over which odometry is compared with the map
 # Share of the way in a single place, where wheels slip, before it is noted.
 ODOMETRY_SLIP_SHARE = 0.5
 HOLE_S = 5.0  # a hole without scans: in less nobody carries a robot to another room
+# In less a robot may drive on unseen, past a room that looks like the next: without odometry a
+# pause is a hole that is longer than this, and in which it comes farther than this, as before.
+_SHORT_S, _UNSEEN_M = 1.0, 1.0
 _HOLE_INTERVALS = 5.0  # a hole has so many usual intervals: robots that stand may record little
 _HOLE_WALLS_M = 0.15  # walls this near to those seen before a hole are the same
 STILL_M = 0.15  # motion over a hole of a robot that stood: noise, and a first step
@@ -52,17 +54,6 @@ _OFF_M = 0.1  # by which a stretch may be off before anybody asks
 _JUMP = 0.5  # share of a drive in one step that makes it a jump
 _BEFORE = 10  # keyframes before a hole that tell which walls stood around: one sees not all
 _RANGE_M = 12.0  # of walls that are compared: farther ones show every error of the heading
-
-# By which a laser may sit elsewhere than the log says, and look elsewhere, before it is told.
-MISPLACED_M, MISPLACED_RAD = 0.3, 0.1
-_PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
-_PIECES = 20  # fewer of them tell nothing
-LEAST_TURNS = 10  # pieces that turn: of fewer the noise may be the other way round
-_SLOW = 0.5  # share of a piece below which it is the noise of a robot that stands
-_ALIKE_RAD = 0.1  # turns of map and odometry, in most pieces that turn: late odometry has others
-_HUBER, _MEDIAN_OFF = 1.345, 1.177  # standard deviations: where doubt begins; of half of all
-_LEAST_OFF_M = 1e-3  # by which pieces differ at least: the last digit of a log
-_ROUNDS = 20  # of weighting the pieces anew: later ones change nothing
 
 HoleKind = Literal["missing", "lost", "rest"]
 
@@ -228,11 +219,19 @@ def _spans(
 ) -> Iterator[tuple[int, int, HoleKind]]:
     """The rows between which holes lie, and what kind of hole each is."""
     intervals_s = np.diff(trajectory.stamps_ns) * 1e-9
-    longest_s = HOLE_S
+    usual_s = 0.0
     if len(intervals_s):
         usual_s = float(np.percentile(intervals_s, _USUAL_PERCENTILE, method="lower"))
-        longest_s = max(HOLE_S, _HOLE_INTERVALS * usual_s)
-    missing = np.flatnonzero(intervals_s > longest_s)
+    missing = np.flatnonzero(intervals_s > max(_SHORT_S, _HOLE_INTERVALS * usual_s))
+    drives_on = [
+        intervals_s[before] > HOLE_S
+        or (
+            _measured(trajectory, before, before + 1) is None
+            and _went_on(trajectory, before, before + 1).distance > _UNSEEN_M
+        )
+        for before in missing.tolist()
+    ]
+    missing = missing[np.array(drives_on, dtype=np.bool_)]
     yield from ((before, before + 1, "missing") for before in missing.tolist())
     told = set(np.searchsorted(rows, missing + 1).tolist())
     for keyframe in sorted(set(breaks) - told):
@@ -277,11 +276,18 @@ def _measured(trajectory: Trajectory, before: int, after: int) -> Pose2 | None:
 
 
 def _expected(trajectory: Trajectory, before: int, after: int) -> Pose2:
-    """The motion of a robot that stood, or went on as in as long a time before: as the map's."""
-    stamps_ns, poses = trajectory.stamps_ns, trajectory.poses
+    """The motion of a robot that went on, or stood: as the map's. It does not stop for a moment."""
+    by_map, went_on = _motion(trajectory.poses, before, after), _went_on(trajectory, before, after)
+    short = trajectory.stamps_ns[after] - trajectory.stamps_ns[before] <= HOLE_S * 1e9
+    choices = (went_on,) if short else (IDENTITY, went_on)
+    return min(choices, key=lambda motion: (by_map.inverse() @ motion).distance)
+
+
+def _went_on(trajectory: Trajectory, before: int, after: int) -> Pose2:
+    """The motion of a robot that went on between two rows as in as long a time before."""
+    stamps_ns = trajectory.stamps_ns
     earlier = int(np.searchsorted(stamps_ns, 2 * stamps_ns[before] - stamps_ns[after]))
-    by_map, went_on = _motion(poses, before, after), _motion(poses, earlier, before)
-    return min((IDENTITY, went_on), key=lambda motion: (by_map.inverse() @ motion).distance)
+    return _motion(trajectory.poses, earlier, before)
 
 
 def _motion(poses: FloatArray, before: int, after: int) -> Pose2:
@@ -304,66 +310,3 @@ def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int) -> float:
 def is_still(motion: Pose2) -> bool:
     """Whether a robot with this motion over a hole stood."""
     return motion.distance <= STILL_M and abs(motion.theta) <= STILL_RAD
-
-
-def turned_otherwise(trajectory: Trajectory) -> tuple[int, int]:
-    """How many turns by the map odometry has the other way round, and how many turns there are."""
-    turns, by_odometry = (motions[:, 2] for motions in _pieces(trajectory))
-    turning = np.abs(turns) > _ALIKE_RAD
-    otherwise = np.abs(wrap_angles(turns + by_odometry)) <= _ALIKE_RAD
-    return int((otherwise & turning).sum()), int(turning.sum())
-
-
-def _pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """The motions (n, 3) of pieces of the way by the map, and by odometry; none without it."""
-    if trajectory.odometry is None:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    known = np.isfinite(trajectory.odometry[:, 0])
-    if trajectory.lost is not None:
-        known &= ~trajectory.lost
-    poses, odometry = trajectory.poses[known], trajectory.odometry[known]
-    turned = np.append(0.0, np.abs(wrap_angles(np.diff(poses[:, 2])))).cumsum()[: len(poses)]
-    pieces = travelled(poses) / _PIECE_M + turned / _PIECE_RAD
-    cuts = np.flatnonzero(np.diff(pieces // 1.0))
-    by_map, by_odometry = (compose(invert(p[cuts[:-1]]), p[cuts[1:]]) for p in (poses, odometry))
-    return by_map, by_odometry
-
-
-def base_by_odometry(trajectory: Trajectory) -> Pose2:
-    """The base that odometry moves, seen from that of the map.
-
-    Where the laser is not where the log says, the base of the map goes in a circle round the right
-    one when the robot turns. In complex numbers a piece of the way that the map has as m, turned by
-    a, is q = s (m + (exp(ia) - 1) p) by odometry: p is the place of the right base, s has its
-    heading and the scale of the wheels (Censi et al., "Simultaneous Calibration of Odometry and
-    Sensor Parameters for Mobile Robots", T-RO 2013). They follow by least squares with Huber's
-    weights. IDENTITY where too little of the way tells of them, or where they are no more than
-    `MISPLACED_M` and `MISPLACED_RAD` and two standard deviations off.
-    """
-    by_map, by_odometry = _pieces(trajectory)
-    alike = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _ALIKE_RAD
-    turning = np.abs(by_map[:, 2]) > _ALIKE_RAD
-    driven = np.hypot(*by_map[:, :2].T) / _PIECE_M + np.abs(by_map[:, 2]) / _PIECE_RAD > _SLOW
-    used = alike & driven
-    if used.sum() < _PIECES or 2 * (alike & turning).sum() < turning.sum():
-        return IDENTITY
-    m, q = (motions[used, 0] + 1j * motions[used, 1] for motions in (by_map, by_odometry))
-    c, weights = np.exp(1j * by_map[used, 2]) - 1.0, np.ones(len(m))
-    for _ in range(_ROUNDS):
-        mm, cc = (weights * abs(m) ** 2).sum(), (weights * abs(c) ** 2).sum()
-        mc, mq, cq = ((weights * a.conj() * b).sum() for a, b in ((m, c), (m, q), (c, q)))
-        free = mm * cc - abs(mc) ** 2
-        if not free > 0.0:  # it never turned, or drove one circle
-            return IDENTITY
-        s, sp = (cc * mq - mc * cq) / free, (mm * cq - mc.conj() * mq) / free
-        off = abs(q - s * m - sp * c)
-        usual = max(float(np.median(off)) / _MEDIAN_OFF, _LEAST_OFF_M)
-        weights = _HUBER * usual / np.maximum(off, _HUBER * usual)
-    if not abs(s) > 0.0:  # by the wheels it stood still
-        return IDENTITY
-    place, turn = sp / s, -float(np.angle(s))
-    sure_m, sure_rad = 2.0 * usual / abs(s) * np.sqrt(np.array([mm, cc]) / free)
-    elsewhere = abs(place) - sure_m > MISPLACED_M or abs(turn) - sure_rad > MISPLACED_RAD
-    if sure_rad > MISPLACED_RAD or not elsewhere:
-        return IDENTITY
-    return Pose2(float(place.real), float(place.imag), turn)

@@ -13,43 +13,33 @@ import numpy as np
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import INPUT, Finding
 from specmap_cli.core.geometry import (
-    IDENTITY,
     FloatArray,
     compose,
     invert,
     step_lengths,
-    travelled,
 )
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
-    LEAST_TURNS,
-    MISPLACED_M,
-    MISPLACED_RAD,
     MOVED_M,
     MOVED_VOTES,
-    ODOMETRY_SLIP_SHARE,
-    ODOMETRY_WINDOW_M,
     SAME_PLACE_M,
     STILL_M,
     STILL_RAD,
     Evidence,
-    base_by_odometry,
     graded,
     told,
-    turned_otherwise,
 )
-from specmap_cli.quality.holes import ODOMETRY_SHARE, noted, unwatched
+from specmap_cli.quality.holes import noted, unwatched
+from specmap_cli.quality.odometry import laser_misplaced, odometry_disagrees
 
 LOST, BREAK = "lost-scans", "tracking-break"
-UNMEASURED, ODOMETRY, MISPLACED = "unmeasured-way", "odometry-disagrees", "laser-misplaced"
+UNMEASURED = "unmeasured-way"
 
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
-_OTHER_UNIT = 2.0  # times the way of the map: no wheels slip so, a unit or a gear is wrong
-_STANDS = 1e-4  # times the way of the map: below any unit, the driver writes no motion
 # Metres by which a way may be longer or shorter: more than what a right map is off, and a room.
 _OFF_M, _OFF_M_POOR = 0.3, 1.0
 
@@ -129,95 +119,6 @@ def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
             limit=limit,
             where=where,
         )
-
-
-def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
-    """A laser that is not where the log says: the way of the map is not that of the base."""
-    otherwise, turns = turned_otherwise(evidence.trajectory)
-    if turns >= LEAST_TURNS and 2 * otherwise > turns:
-        yield Finding(
-            code=MISPLACED,
-            severity="doubtful",
-            message=f"{otherwise} of {turns} turns of the map are the other way round by odometry: "
-            "the laser hangs upside down and the map is a mirror image, or odometry is wrong",
-            advice="give the transform from the base to the laser a roll of 180 degrees",
-            value=otherwise / turns,
-            limit=0.5,
-        )
-    base = base_by_odometry(evidence.trajectory)
-    if base == IDENTITY:
-        return
-    laser, turn_rad = base.inverse() @ evidence.mounting, abs(base.theta)
-    away = base.distance > MISPLACED_M
-    yield Finding(
-        code=MISPLACED,
-        # without a mounting in the log, the laser is the base, and the map is right of it
-        severity="note" if evidence.mounting == IDENTITY else "doubtful",
-        message=f"by odometry the laser sits on the base at x {laser.x:.2f} m, y {laser.y:.2f} m, "
-        f"turned by {_degrees(laser.theta)}: {base.distance:.2f} m and {_degrees(turn_rad)} from "
-        "where the log has it",
-        advice="correct the transform from the base to the laser",
-        value=base.distance if away else turn_rad,
-        limit=MISPLACED_M if away else MISPLACED_RAD,
-    )
-
-
-def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
-    """Odometry that tells another way than the map: everywhere, or in single places.
-
-    Everywhere that wheels turn: the laser is not where the log says, or the odometry is of another
-    robot or clock. In a single place wheels slip, or the robot is carried, which is no fault of the
-    map.
-    """
-    poses, odometry = evidence.trajectory.poses, evidence.trajectory.odometry
-    if odometry is None or not evidence.measured.any():
-        return
-    poses = compose(poses, np.array(base_by_odometry(evidence.trajectory)))  # that of the wheels
-    way = travelled(poses)
-    starts = np.searchsorted(
-        way, np.arange(0.0, way[-1] - ODOMETRY_WINDOW_M, 0.5 * ODOMETRY_WINDOW_M)
-    )
-    ends = np.searchsorted(way, way[starts] + ODOMETRY_WINDOW_M)
-    known = ends < len(way)
-    known[known] &= np.isfinite(odometry[starts[known], 0] + odometry[ends[known], 0])
-    starts, ends = starts[known], ends[known]
-    if not len(starts):
-        return
-    by_map, by_odometry = (compose(invert(p[starts]), p[ends]) for p in (poses, odometry))
-    off = compose(invert(by_map), by_odometry)
-    apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
-    # wheels that stand while the map moves tell of a robot that is carried, unless they mostly do
-    turned = np.nancumsum(step_lengths(odometry))
-    times = (turned[ends - 1] - turned[starts]) / ODOMETRY_WINDOW_M
-    driven = times > ODOMETRY_SHARE
-    usual = float(np.median(apart[driven] if driven.mean() > ODOMETRY_SHARE else apart))
-    worst = int(apart.argmax())
-    everywhere = usual > ODOMETRY_SHARE
-    share = usual if everywhere else float(apart[worst])
-    limit = ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE
-    if share <= limit:
-        return
-    where = evidence.at_scan(int(starts[worst]))
-    place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
-    advice, scale = "is the odometry of this robot and this clock?", float(np.median(times))
-    if scale < _STANDS:
-        advice = "by odometry the robot stands still: build with --no-odometry"
-    elif not 1.0 / _OTHER_UNIT < scale < _OTHER_UNIT:
-        times_as_far = f"{float(f'{scale:.2g}'):,g} times as far as the map"
-        advice = f"odometry goes {times_as_far}: is it in metres?"
-    yield Finding(
-        code=ODOMETRY,
-        severity="doubtful" if everywhere else "note",
-        message=f"odometry and the map disagree by {share:.0%} of the way {place}",
-        advice=advice if everywhere else "",
-        value=share,
-        limit=limit,
-        where=where,
-    )
-
-
-def _degrees(angle: float) -> str:
-    return counted(round(math.degrees(angle)), "degree")
 
 
 def of_recording(evidence: Evidence) -> list[Finding]:

@@ -19,6 +19,7 @@ from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import (
     HOLE_S,
     MOVED_VOTES,
+    ODOMETRY_SHARE,
     SAME_PLACE_M,
     STILL_M,
     STILL_RAD,
@@ -30,7 +31,6 @@ from specmap_cli.quality.evidence import (
 )
 
 HOLE = "hole-in-log"
-ODOMETRY_SHARE = 0.3  # share of the way by which map and odometry may differ: wheels err less
 _HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
 _TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
 _SESSION_S = 3600.0  # a longer hole without scans parts two sessions
@@ -70,7 +70,7 @@ def unwatched(evidence: Evidence) -> Iterator[Finding]:
             f"and {doubt}: where the robot was afterwards is a guess",
             advice=_ADVICE[hole.kind],
             value=hole.seconds,
-            limit=HOLE_S if hole.kind == "missing" else None,
+            limit=HOLE_S if hole.kind == "missing" and hole.seconds > HOLE_S else None,
             where=where,
         )
 
@@ -84,7 +84,7 @@ def noted(evidence: Evidence) -> Iterator[Finding]:
     for hole in evidence.holes:
         driven = hole.measured is not None and not is_still(hole.measured)
         where, advice, limit = evidence.at_scan(hole.row), "", HOLE_S
-        if hole.kind != "missing":
+        if hole.kind != "missing" or hole.seconds <= HOLE_S:
             continue
         if hole.seconds > _SESSION_S:
             limit = _SESSION_S

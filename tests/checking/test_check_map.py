@@ -33,7 +33,7 @@ from specmap_cli.core.findings import INPUT, VERDICTS, Verdict
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.check import check_map
-from specmap_cli.quality import findings, holes
+from specmap_cli.quality import findings, holes, odometry
 from tests.comparisons import comparison, thing, way
 
 RUN = {"wall_s": 4.0, "memory_mb": 200.0, "counts": {"scans": 80, "lost": 2, "breaks": 1}}
@@ -228,7 +228,7 @@ def test_every_default_is_of_a_figure_and_every_doubt_has_one() -> None:
     assert {name for name, _, _ in DEFAULTS.each()} <= set(BOUNDED)
     codes = {
         code
-        for name, code in {**vars(holes), **vars(findings)}.items()
+        for name, code in {**vars(holes), **vars(odometry), **vars(findings)}.items()
         if name.isupper() and isinstance(code, str) and not name.startswith("_")
     }
     only_notes = {findings.BREAK, findings.REFUTED, INPUT}

@@ -83,6 +83,17 @@ def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, said:
     assert bool(told(seen)) == said
 
 
+@pytest.mark.parametrize(("on_m", "said"), [(1.5, False), (0.0, True), (0.6, True)])
+def test_a_robot_drives_on_in_a_short_hole_without_odometry(on_m: float, said: bool) -> None:
+    """Three seconds at half a metre a second: odometry would tell of them."""
+    places = np.concatenate([np.arange(1.5, 3.6, 0.1), 3.5 + on_m + np.arange(0.0, 0.3, 0.1)])
+    scans, poses = drive(places, np.cumsum([0.0, *[0.2] * 20, 3.0, 0.2, 0.2]))
+    (seen,) = found(scans, poses)
+    assert bool(told(seen)) == said
+    assert not list(noted(evidence(replace(seen, keyframe=100, row=100))))
+    assert found(scans, poses, poses) == ()
+
+
 def test_scans_lost_behind_a_hole_do_not_say_where_the_robot_is() -> None:
     """The wheels turn a little there, and the first scan that is registered lies elsewhere."""
     scans, poses = drive([2.0, 2.1, 2.2, 2.2, 2.3, 2.4], [0.0, 0.2, 0.4, 30.4, 30.6, 30.8])
@@ -168,7 +179,8 @@ def test_two_holes_while_the_robot_stands_are_both_looked_at() -> None:
 @pytest.mark.parametrize(
     ("usual_s", "intervals_s", "count"),
     [
-        (0.2, (0.2, 0.2, 4.9, 0.2), 0),  # nobody is so quick
+        (0.2, (0.2, 0.2, 2.9, 0.2), 0),  # nobody is so quick, and the robot drives no metre
+        (0.2, (0.2, 0.2, 4.9, 0.2), 1),
         (0.2, (0.2, 0.2, 5.1, 0.2), 1),
         (3.0, (3.0, 2.0, 14.0, 3.0), 0),  # a log of few scans, some of them far apart
         (0.2, (0.0, 0.0, 0.0, 0.0), 0),  # stamps that say nothing

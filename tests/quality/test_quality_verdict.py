@@ -181,7 +181,7 @@ def test_what_was_guessed_in_a_row_adds_up_and_what_ties_its_ends_takes_it_away(
 @pytest.mark.parametrize(
     ("times", "by", "advice"),
     [
-        (0.75, 0, ""),
+        (0.95, 0, ""),
         (0.65, 35, "of this robot"),
         (1e3, 99_900, "in metres"),
         (1e-3, 100, "in metres"),
@@ -196,6 +196,18 @@ def test_odometry_of_another_robot_makes_a_map_doubtful(times: float, by: int, a
     assert [one.message for one in found.findings] == messages[: by > 0]
     assert [one.value for one in found.findings] == pytest.approx([abs(1.0 - times)][: by > 0])
     assert all(advice in one.advice for one in found.findings)
+
+
+@pytest.mark.parametrize(("times", "severity"), [(1.25, "doubtful"), (0.85, "note")])
+def test_odometry_that_goes_farther_by_one_ratio_is_told(times: float, severity: Severity) -> None:
+    """Of wheels that slip on half of the way it is not."""
+    base = evidence()
+    odometry = np.array(base.trajectory.poses)
+    finding = only(travelled(base, odometry=odometry * (times, 1.0, 1.0)))
+    assert (finding.code, finding.severity) == ("odometry-disagrees", severity)
+    assert f"{times} times as far" in finding.message
+    odometry[:, 0] += (times - 1.0) * np.minimum(odometry[:, 0], SCANS // 2)
+    assert judged(travelled(base, odometry=odometry)).findings == ()
 
 
 def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note() -> None:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.compression import Unpacked
+from specmap_cli.logs.readers.compression import Unpacked, message_of
 from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, UNFIT, typestore
 from specmap_cli.logs.readers.recording import (
     Contents,
@@ -311,18 +311,21 @@ class ChunkedFile(Recording):
             self.report(f"{what}: {messages} are lost")
 
     def _message(self, time_ns: int, number: int, data: bytes) -> Iterator[Message]:
-        """A message in ROS 2 CDR; one that does not fit its type is reported and left out."""
+        """A message in ROS 2 CDR; one that cannot be read as its type is reported and left out."""
         topic, type_name, ros1 = self.channels[number]
-        if ros1 and type_name in SUPPORTED_TYPES:
+        fault = ""
+        if not ros1:
+            data, complete, _ = unpacked = message_of(data, self.chunk_max)
+            fault = "" if complete else f"is {unpacked.fault}"
+        elif type_name in SUPPORTED_TYPES:
             try:
                 data = bytes(typestore().ros1_to_cdr(data, type_name))
             except UNFIT:
-                self.report(
-                    f"the message on {topic} at {time_text(time_ns)} does not fit its type "
-                    f"{type_name}; left out",
-                    {topic: 1},
-                )
-                return
+                fault = f"does not fit its type {type_name}"
+        if fault:
+            told = f"the message on {topic} at {time_text(time_ns)} {fault}; left out"
+            self.report(told, {topic: 1})
+            return
         yield Message(topic, type_name, time_ns, data)
 
 

@@ -47,6 +47,11 @@ class Unpacked(NamedTuple):
     complete: bool
     beyond: bool = False
 
+    @property
+    def fault(self) -> str:
+        """What is wrong with a block that is not complete."""
+        return "beyond log.chunk_max_mb" if self.beyond else "damaged in its compression"
+
 
 def decompress(data: bytes, compression: str, limit: int, size: int | None = None) -> Unpacked:
     """The bytes behind `data`, none of them when they are more than `limit`.
@@ -72,6 +77,11 @@ def decompress(data: bytes, compression: str, limit: int, size: int | None = Non
         if found.tell() > limit:
             return Unpacked(b"", complete=False, beyond=True)
     return Unpacked(found.getvalue(), complete)
+
+
+def message_of(data: bytes, limit: int) -> Unpacked:
+    """A message that rosbag2 may have compressed by itself; one of CDR never begins as zstd."""
+    return decompress(data, "zstd" if data.startswith(MAGIC["zstd"]) else "", limit)
 
 
 def _at_once(data: bytes, compression: str, size: int) -> bytes | None:

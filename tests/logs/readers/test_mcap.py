@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, IndexType, Writer
@@ -138,6 +139,20 @@ def test_a_record_that_is_no_message_any_more_is_passed_over_and_said(
         last, size = driven[39].time_ns / 1e9, path.stat().st_size
         end = f"damaged at byte {start} of {size}: what followed {last:.3f} s is lost"
         assert read_rest(path) == (driven[:40], [f"{path}: {end}"])
+
+
+def test_messages_that_rosbag2_compressed_one_by_one_are_read(
+    path: Path, driven: list[Message]
+) -> None:
+    """One that is damaged is told, and the others are read."""
+    packed = [m._replace(data=zstandard.compress(m.data)) for m in driven]
+    write_mcap(path, packed)
+    assert read_rest(path) == (driven, [])
+    packed[3] = packed[3]._replace(data=packed[3].data[:20])
+    write_mcap(path, packed)
+    found, (told,) = read_rest(path)
+    assert found == driven[:3] + driven[4:]
+    assert "is damaged in its compression; left out" in told
 
 
 def test_an_unknown_compression_costs_its_chunks(path: Path, driven: list[Message]) -> None:
