@@ -110,9 +110,10 @@ def update(
 ) -> None:
     """Add another recording of the building to its map.
 
-    Every submap of the map keeps its id, its name and its border. Only new space is divided, and
-    gets ids that no submap ever had. A recording that fits nowhere is refused. The settings are
-    those of the map, but for topics and frames; --config and --set change some of them.
+    Every submap of the map keeps its id and its name, and its border where the robot does not now
+    enter what it had only looked into. Only new space is divided, and gets ids that no submap ever
+    had. A recording that fits nowhere is refused. The settings are those of the map, but for topics
+    and frames; --config and --set change some of them, --preset takes the place of them all.
 
     \b
     specmap update out tomorrow.mcap -o out2
@@ -235,9 +236,9 @@ StepName = StrEnum("StepName", "build localize evaluate export report check")
 class Sharing:
     """Who does the work, and how much of the machine it may take."""
 
-    workers: Annotated[int | None, option("Worker processes; default: one a processor.", min=1)] = (
-        None
-    )
+    workers: Annotated[
+        int | None, option("Jobs at once on this machine; default: one a processor.", min=1)
+    ] = None
     scheduler: Annotated[
         str | None, option("Dask scheduler to use, such as tcp://host:8786.", metavar="ADDRESS")
     ] = None

@@ -49,7 +49,7 @@ def localize(
         bool, option("Smooth over the whole log instead of filtering.", "--offline")
     ] = False,
     metric: Annotated[
-        bool, option("Also match each scan within its submap's grid.", "--metric")
+        bool, option("A pose, too, where one place of the map leads clearly.", "--metric")
     ] = False,
     overwrite: Overwrite = False,
     fail_on: Annotated[
@@ -104,8 +104,8 @@ def compare(
     The maps find each other by what they show; they need no common frame. Then: submaps that are
     the same, new, gone, split or merged; ways that were closed or opened; walls and furniture that
     appeared or vanished, judged where both maps saw. Maps that do not fit in one way only are
-    refused with the reason, exit code 4. The settings are those the old map was built with;
-    --config, --set and --preset change them as for `localize`.
+    refused with the reason, exit code 4. Of the settings only
+    those of section `limits` count.
 
     \b
     specmap compare monday friday

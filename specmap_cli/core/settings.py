@@ -159,7 +159,7 @@ class SegmentationConfig(_Section):
     test_keyframes: int = Field(50, ge=1)
     """Keyframes between two tests that go by keyframes."""
     split_eigenvalue: float = Field(0.6, gt=0, lt=1)
-    """Second eigenvalue in a test for a new submap above which it is split off."""
+    """Eigenvalue that parts the way, in a test for a new submap, above which it is split off."""
     split_share: float = Field(0.1, ge=0, lt=0.5)
     """Least share of the way on each side of a split."""
     split_scale: float = Field(3.0, gt=0)

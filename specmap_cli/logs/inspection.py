@@ -27,7 +27,7 @@ from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import Message, time_text
 from specmap_cli.logs.selection import Selection, TransformTree, read_frames
-from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
+from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError, topics_beside
 from specmap_cli.logs.stream import SweepStream
 
 _PAUSE_INTERVALS = 5.0  # a pause is told that is so many usual intervals, medians, long
@@ -111,8 +111,9 @@ def _look(
     except (InputError, UsageError) as error:
         command = None
         if isinstance(error, UsageError):
-            command = _command(log, _likeliest(log, error, config))
-        frames = tuple(_frames(read_frames(log, config)[0]))
+            config = _likeliest(log, error, config)
+            command = _command(log, config)
+        frames = tuple(_frames(read_frames(log, config, config.scan_topic or "")[0]))
         return replace(told, frames=frames, problem=str(error), next_command=command), None
     chosen = stream.selection
     warnings = [*chosen.warnings]
@@ -125,7 +126,7 @@ def _look(
         chosen=chosen.note,
         frames=tuple(_frames(chosen.tree)),
         problem=f"no usable scan on {chosen.topic.name}" if first is None else None,
-        next_command=_command(log, _given(config)) if first is not None else None,
+        next_command=_command(log, config) if first is not None else None,
         warnings=tuple(warnings),
         scan=_describe(chosen, first) if first is not None else None,
         preview=met,
@@ -328,24 +329,24 @@ def _describe(chosen: Selection, sweep: Sweep) -> summary.ScanSummary:
     )
 
 
-def _likeliest(log: Log, error: UsageError, config: LogConfig) -> str:
-    """The options that make the likeliest choice after an error that asks for one."""
+def _likeliest(log: Log, error: UsageError, config: LogConfig) -> LogConfig:
+    """The settings of the likeliest choice after an error that asks for one."""
+    chosen: dict[str, object] = {}
     if isinstance(error, SeveralSensorsError):
-        return _given(LogConfig.model_validate({**config.model_dump(), "scan_frame": error.best}))
-    chosen = ""
+        chosen = {**config.model_dump(), "scan_frame": error.best}
+        return LogConfig.model_validate(chosen)
     scans = [t for t in log.contents.topics if t.type in SCAN_TYPES and t.count]
     if scans and (len(scans) > 1 or config.scan_topic is not None):
-        best = max(scans, key=lambda t: (t.type == LASER_SCAN, t.count))
-        chosen += f" --scan-topic {shlex.quote(best.name)}"
-    poses = [t for t in log.contents.topics if t.type == ODOMETRY and t.count]
+        chosen["scan_topic"] = max(scans, key=lambda t: (t.type == LASER_SCAN, t.count)).name
+    beside = topics_beside(log, {ODOMETRY}, str(chosen.get("scan_topic", "")))
+    poses = [topic for topic in beside if topic.count]
     if len(poses) > 1:
-        best = max(poses, key=lambda t: t.count)
-        chosen += f" --odom-topic {shlex.quote(best.name)}"
-    return chosen
+        chosen["odom_topic"] = max(poses, key=lambda t: t.count).name
+    return LogConfig.model_validate(chosen)
 
 
-def _given(config: LogConfig) -> str:
-    """The options that choose the topics and the frame as `config` does."""
+def _command(log: Log, config: LogConfig) -> str:
+    """The command that builds a map, with the options that choose as `config` does."""
     choices = {
         "--scan-topic": config.scan_topic,
         "--scan-frame": config.scan_frame,
@@ -353,9 +354,6 @@ def _given(config: LogConfig) -> str:
         "--base-frame": config.base_frame,
     }
     named = [f" {key} {shlex.quote(name)}" for key, name in choices.items() if name is not None]
-    return "".join(named) + ("" if config.use_odometry else " --no-odometry")
-
-
-def _command(log: Log, options: str) -> str:
     files = " ".join(shlex.quote(str(path)) for path in log.given)
-    return f"specmap build {files}{options}"
+    without = "" if config.use_odometry else " --no-odometry"
+    return f"specmap build {files}{''.join(named)}{without}"

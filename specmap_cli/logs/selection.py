@@ -36,6 +36,7 @@ from specmap_cli.logs.sensors import (
     first_scans,
     glance,
     sensors_of,
+    topics_beside,
 )
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop
@@ -87,8 +88,11 @@ class TransformTree:
         return set(self._edges) | {edge.parent for edge in self._edges.values()}
 
     def edges(self) -> list[TransformRecord]:
-        """The transforms, by the name of the child."""
-        return [self._edges[child] for child in sorted(self._edges)]
+        """The transforms, by the name of the child; moving ones as they first were."""
+        return [
+            (self._first if child in self.moving else self._edges)[child]
+            for child in sorted(self._edges)
+        ]
 
     def ancestors(self, frame: str) -> Iterator[str]:
         """The frame and its parents up to the root."""
@@ -169,12 +173,9 @@ def read_frames(
 
 
 def _transform_topics(log: Log, scan_topic: str, *, dynamic: bool) -> list[str]:
-    """Topics of transforms; those in the namespace of the scans are not of another robot."""
-    of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
-    of_tf = [name for name in of_tf if name.endswith("tf_static") != dynamic]
-    spaces = {name: name.strip("/").rpartition("/")[0] for name in of_tf}
-    own = [n for n in of_tf if spaces[n] and scan_topic.lstrip("/").startswith(spaces[n] + "/")]
-    return [name for name in of_tf if name in own or not spaces[name]] if own else of_tf
+    """The topics of transforms that tell of the robot of a topic of scans."""
+    names = [topic.name for topic in topics_beside(log, {TF_MESSAGE}, scan_topic)]
+    return [name for name in names if name.endswith("tf_static") != dynamic]
 
 
 def usual_frames(names: Sequence[str], laser_frame: str) -> list[str]:
@@ -194,12 +195,15 @@ def place_laser(
     bases: Sequence[str],
     moving: str | None,
     asked: str | None,
+    *,
+    planar: bool = True,
 ) -> tuple[str, FloatArray, float | None, list[str]]:
     """The base frame, base_from_laser (4, 4) on it, the floor's height there, what was assumed.
 
     The height is None when it is unknown. The base is the first of `bases` that is joined to the
     laser's frame. Otherwise it is assumed: the frame `moving` in the odometry, or a usual one, or
-    what carries the laser. Raises UsageError if one was `asked` for.
+    what carries the laser. Raises UsageError if one was `asked` for. Of a laser that is `planar` it
+    is said that it is read as level.
     """
     joined = next((base for base in bases if tree.lookup(base, laser_frame) is not None), None)
     if joined is None and asked is not None:
@@ -218,7 +222,7 @@ def place_laser(
         floor = 0.0
     warnings = list(tree.changes(carrier, laser_frame))
     tilt = math.acos(float(np.clip(base_from_laser[2, 2], -1.0, 1.0)))
-    if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD:
+    if planar and _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD:
         warnings.append(
             f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
             f"against {carrier!r}: a planar scan is read as if it were level"
@@ -312,8 +316,8 @@ def select(log: Log, config: LogConfig) -> Selection:
     in_space = sensor.is_cloud and not shown.is_flat
     odometry_topic = None
     if config.use_odometry:
-        asked = config.odom_topic
-        odometry_topic = choose_topic(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
+        choice = config.odom_topic, "--odom-topic", "odometry"
+        odometry_topic = choose_topic(log, {ODOMETRY}, *choice, topic.name)
     child = None  # the frame that moves, by the first message that can be read
     if odometry_topic is not None:
         for message in islice(log.messages([odometry_topic.name]), TRIED_MESSAGES):
@@ -324,7 +328,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     tree, left_out = read_frames(log, config, topic.name, sensor.frame, bases)
     base, base_from_laser, floor_m, assumed = place_laser(
-        tree, sensor.frame, bases, child, config.base_frame
+        tree, sensor.frame, bases, child, config.base_frame, planar=not sensor.is_cloud
     )
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()

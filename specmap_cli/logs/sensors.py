@@ -46,14 +46,30 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     return chosen
 
 
+def topics_beside(log: Log, types: Collection[str], scan_topic: str) -> list[TopicInfo]:
+    """Topics of such types; where some are in a namespace of the scans, no other robot's."""
+    found = [topic for topic in log.topics() if topic.type in types]
+    spaces = {topic: topic.name.strip("/").rpartition("/")[0] for topic in found}
+    own = [t for t in found if spaces[t] and scan_topic.lstrip("/").startswith(spaces[t] + "/")]
+    return [topic for topic in found if topic in own or not spaces[topic]] if own else found
+
+
 def choose_topic(
-    log: Log, types: Collection[str], asked: str | None, option: str, what: str
+    log: Log,
+    types: Collection[str],
+    asked: str | None,
+    option: str,
+    what: str,
+    scan_topic: str = "",
 ) -> TopicInfo | None:
-    """The topic of such types that is asked for, or the only one; None when there is none."""
+    """The topic of such types that is asked for, or the only one; None when there is none.
+
+    Where none is asked for, topics of other robots than that of `scan_topic` do not count.
+    """
     found = {
         topic: f"({topic.type.rpartition('/')[2]}, {counted(topic.count, 'message')})"
-        for topic in log.topics()
-        if topic.type in types and topic.count
+        for topic in topics_beside(log, types, scan_topic if asked is None else "")
+        if topic.count
     }
     if asked is not None:
         for topic in found:

@@ -231,15 +231,23 @@ def place(log: LogWriter, topic: str, x: float, at: int = START, child: str = "l
     log.raw(topic, encoding.TF_MESSAGE, encoding.transforms_cdr(at, [there]), at)
 
 
-def test_of_two_robots_each_has_its_own_transforms(path: Path) -> None:
+def test_of_two_robots_each_has_its_own_transforms_and_odometry(path: Path) -> None:
     with LogWriter(path) as log:
         for number in (1, 2):
             log.scan(f"/robot{number}/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
             place(log, f"/robot{number}/tf_static", 0.1 * number)
+            here = Pose2(0.0, 0.0, 0.0)
+            log.odometry(f"/robot{number}/odom", "odom", "base_link", START, here)
     for number in (1, 2):
         chosen = choose(path, scan_topic=f"/robot{number}/scan")
         assert chosen.base_from_laser[0, 3] == pytest.approx(0.1 * number)
+        assert chosen.odom_topics == (f"/robot{number}/odom",)
         assert not chosen.warnings
+    assert choose(path, scan_topic="/robot1/scan", odom_topic="/robot2/odom").odometry == "topic"
+    with open_log(path) as log:
+        told = summarize(log)
+    assert told.next_command == f"specmap build {path} --scan-topic /robot1/scan"
+    assert [frame.xyz_m[0] for frame in told.frames] == [0.1]
 
 
 @pytest.mark.parametrize("topic", ["/tf_static", "/tf"])
