@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.compression import Unpacked, message_of
+from specmap_cli.logs.readers.compression import MAGIC, Unpacked, decompress
 from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, UNFIT, typestore
 from specmap_cli.logs.readers.recording import (
     Contents,
@@ -314,10 +314,10 @@ class ChunkedFile(Recording):
         """A message in ROS 2 CDR; one that cannot be read as its type is reported and left out."""
         topic, type_name, ros1 = self.channels[number]
         fault = ""
-        if not ros1:
-            data, complete, _ = unpacked = message_of(data, self.chunk_max)
+        if not ros1 and data.startswith(MAGIC["zstd"]):  # rosbag2 compressed it by itself
+            data, complete, _ = unpacked = decompress(data, "zstd", self.chunk_max)
             fault = "" if complete else f"is {unpacked.fault}"
-        elif type_name in SUPPORTED_TYPES:
+        elif ros1 and type_name in SUPPORTED_TYPES:
             try:
                 data = bytes(typestore().ros1_to_cdr(data, type_name))
             except UNFIT:

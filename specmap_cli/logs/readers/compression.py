@@ -79,11 +79,6 @@ def decompress(data: bytes, compression: str, limit: int, size: int | None = Non
     return Unpacked(found.getvalue(), complete)
 
 
-def message_of(data: bytes, limit: int) -> Unpacked:
-    """A message that rosbag2 may have compressed by itself; one of CDR never begins as zstd."""
-    return decompress(data, "zstd" if data.startswith(MAGIC["zstd"]) else "", limit)
-
-
 def _at_once(data: bytes, compression: str, size: int) -> bytes | None:
     """An intact block of `size` bytes, None when it is anything else."""
     try:

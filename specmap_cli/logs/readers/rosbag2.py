@@ -23,7 +23,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.logs.readers import recording
-from specmap_cli.logs.readers.compression import message_of
+from specmap_cli.logs.readers.compression import MAGIC, Unpacked, decompress
 from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, normalized_type
 
 _LARGEST_MB = 4.0  # of a metadata.yaml: some kilobytes, with many topics and files a megabyte
@@ -226,7 +226,9 @@ class Rosbag2File(recording.Recording):
         name, kind = self._topics[number]
         fault = "the row of a message does not hold one"
         if isinstance(time_ns, int) and isinstance(data, bytes):
-            unpacked = message_of(data, self.chunk_max)
+            unpacked = Unpacked(data, complete=True)
+            if data.startswith(MAGIC["zstd"]):  # rosbag2's compression of single messages
+                unpacked = decompress(data, "zstd", self.chunk_max)
             if unpacked.complete:
                 return recording.Message(name, kind, time_ns, unpacked.data)
             fault = f"a message at {recording.time_text(time_ns)} is {unpacked.fault}"
