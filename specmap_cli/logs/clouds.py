@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.planar import MOST_BEAMS
@@ -224,6 +224,16 @@ def _plane(points: FloatArray) -> tuple[FloatArray, float] | None:
     return np.array([-a, -b, 1.0]) / length, c / length
 
 
+def span_of(seen: BoolArray) -> tuple[int, int]:
+    """The first of the fewest bearings (B,) of a circle that hold all that were seen; how many."""
+    at = np.flatnonzero(seen)
+    if not len(at):
+        return 0, 1
+    gaps = np.diff(at, append=at[0] + len(seen))
+    widest = int(gaps.argmax())
+    return int(at[(widest + 1) % len(at)]), len(seen) + 1 - int(gaps[widest])
+
+
 _FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray ones lie below it
 _CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
 _CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
@@ -242,7 +252,8 @@ class CloudFlattener:
     `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
     them. A floor of unknown height (None) is taken to be where the lowest returns of the first
     cloud are that has enough of them to tell; so are the bearings. The clouds of a `planar` laser
-    have one height, whichever it is, and their scans keep the times of the beams.
+    have one height, whichever it is, and their scans keep the times of the beams. The scans of a
+    `narrow` view end where it does.
     """
 
     def __init__(
@@ -252,11 +263,13 @@ class CloudFlattener:
         config: LogConfig,
         *,
         planar: bool = False,
+        narrow: bool = False,
     ) -> None:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
         self._planar, self._shift, self._settled = planar, 0.0, False
+        self._narrow = narrow
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
@@ -298,9 +311,14 @@ class CloudFlattener:
         nearest = np.full(beams, np.inf)
         np.minimum.at(nearest, bins[inside], distance[inside])
         ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
+        bearings = self._bearings
+        if self._narrow:
+            first, count = span_of(self._seen)
+            ranges = np.roll(ranges, -first)[:count]
+            bearings = bearings[first] + math.tau / beams * np.arange(count)
         return PlanarScan(
             stamp_ns=stamp_ns,
-            bearings=self._bearings,
+            bearings=bearings,
             ranges=ranges,
             range_max=CLOUD_RANGE_MAX_M,
             full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),

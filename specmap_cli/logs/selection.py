@@ -259,11 +259,13 @@ class Selection:
 
     `topic` is that of the scans, `sensor` the one of the `sensors` on it that is read, `clock` what
     stamps its scans. `band_m` is the height band of a 3D cloud in metres above the floor, None for
-    planar scans and for clouds of planar lasers. `ceilings_m` are distances that stand for no
-    return, as far as the first scans show. `base_from_laser` (4, 4) is the mounting, `floor_m` the
-    height of the floor in the base frame, None when it is unknown. `odometry` says whether poses
-    come from a topic, from transforms `odom_frame` -> `base_frame`, or not at all. `tree` are the
-    transforms known beforehand.
+    planar scans and for clouds of planar lasers. `in_space` says that clouds are registered as they
+    are. Of a camera on a robot with odometry it is their planar scan: most of its points lie on the
+    floor, which looks the same wherever the robot goes. `ceilings_m` are distances that stand for
+    no return, as far as the first scans show. `base_from_laser` (4, 4) is the mounting, `floor_m`
+    the height of the floor in the base frame, None when it is unknown. `odometry` says whether
+    poses come from a topic, from transforms `odom_frame` -> `base_frame`, or not at all. `tree` are
+    the transforms known beforehand.
     """
 
     topic: TopicInfo
@@ -278,6 +280,7 @@ class Selection:
     odom_frame: str | None = None
     clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
+    in_space: bool = False
     ceilings_m: tuple[float, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -290,7 +293,8 @@ class Selection:
             parts[0] += f" of sensor {self.sensor.name}"
         if self.band_m is not None:
             low, high = self.band_m
-            parts.append(f"height band {low:g} to {high:g} m above the floor")
+            alone = "" if self.in_space else ", registered by it alone"
+            parts.append(f"height band {low:g} to {high:g} m above the floor{alone}")
         if self.odometry == "topic":
             parts.append(f"odometry from {self.odom_topics[0]}")
         elif self.odometry == "tf":
@@ -312,8 +316,6 @@ def select(log: Log, config: LogConfig) -> Selection:
     sensors = tuple(sensors_of(scans))
     sensor = choose_sensor(log.name, topic.name, sensors, config)
     scans = [scan for scan in scans if sensor.made(scan)]
-    shown = glance(log, topic, sensor)
-    in_space = sensor.is_cloud and not shown.is_flat
     odometry_topic = None
     if config.use_odometry:
         choice = config.odom_topic, "--odom-topic", "odometry"
@@ -330,6 +332,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     base, base_from_laser, floor_m, assumed = place_laser(
         tree, sensor.frame, bases, child, config.base_frame, planar=not sensor.is_cloud
     )
+    shown = glance(log, topic, sensor, base_from_laser)
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
@@ -353,12 +356,13 @@ def select(log: Log, config: LogConfig) -> Selection:
         odom_topics=topics,
         odom_frame=odom_frame,
         clock=clock,
-        band_m=(config.band_min_m, config.band_max_m) if in_space else None,
+        band_m=(config.band_min_m, config.band_max_m) if shown.has_height else None,
+        in_space=shown.has_height and not (shown.is_narrow and odometry and floor_m is not None),
         ceilings_m=shown.ceilings_m,
         warnings=(
             *shown.warnings,
             *_assumptions(log, topic.name, base, [*assumed, *left_out], tree, child, clock),
-            *([_UNKNOWN_FLOOR] if in_space and floor_m is None else []),
+            *([_UNKNOWN_FLOOR] if shown.has_height and floor_m is None else []),
         ),
     )
 

@@ -299,12 +299,14 @@ class _SweepMaker:
         self.selection = selection
         self.counts = counts
         self.leveller = leveller
-        in_space = selection.band_m is not None
+        has_height = selection.band_m is not None
         self.flattener = CloudFlattener(
-            selection.base_from_laser, selection.floor_m, config, planar=not in_space
+            *(selection.base_from_laser, selection.floor_m, config),
+            planar=not has_height,
+            narrow=has_height and not selection.in_space,
         )
         # a cloud that shows no floor has the level of the one before it
-        self._is_level = selection.floor_m is not None or not in_space
+        self._is_level = selection.floor_m is not None or not has_height
         self._level = Level(np.eye(3), None)
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
@@ -370,7 +372,7 @@ class _SweepMaker:
             self._level = floor_of(points) or self._level
         turn = product(self._level.rotation, base_from_laser[:3, :3])
         cloud = product(points, turn.T) + base_from_laser[:3, 3]
-        in_space = self.selection.band_m is not None
+        in_space = self.selection.in_space
         return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,

@@ -357,3 +357,41 @@ def test_one_cloud_with_height_makes_it_a_lidar_in_space(flat_tour: Tour, path: 
     sweeps, stream = sweeps_of(path)
     assert "height band 0.15 to 1.5 m" in stream.selection.note
     assert all(sweep.cloud is not None for sweep in sweeps)
+
+
+def write_camera(path: Path, yaw: float, mounted: bool = True) -> None:
+    """Clouds of a camera, 0.5 m up, of 80 degrees: the floor, and a wall 3 m ahead."""
+    b, z = (grid.ravel() for grid in np.meshgrid(np.radians(np.arange(-39.75, 40.0)), np.arange(9)))
+    wall = np.column_stack([3.0 * np.cos(b), 3.0 * np.sin(b), 0.2 * z - 0.5])
+    floor = np.column_stack([wall[:, :2] * (z / 9.0)[:, None], np.full(len(z), -0.5)])
+    with LogWriter(path) as log:
+        if mounted:
+            turned = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+            log.static_transform("base_link", "camera", (0.2, 0.0, 0.5), turned)
+        for number in range(5):
+            log.odometry("/odom", "odom", "base_link", number, Pose2(0.1 * number, 0.0, 0.0))
+            log.cloud("/points", "camera", number, np.concatenate([floor, wall, np.zeros((1, 3))]))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 3.0])
+def test_of_a_camera_on_a_robot_the_planar_scan_is_registered(path: Path, yaw: float) -> None:
+    """Its scan ends where its view does, also behind the robot."""
+    write_camera(path, yaw)
+    sweeps, stream = sweeps_of(path)
+    assert "m above the floor, registered by it alone" in stream.selection.note
+    for sweep in sweeps:
+        assert sweep.cloud is None
+        assert np.degrees(np.ptp(sweep.planar.bearings)) == pytest.approx(80.0, abs=1.0)
+        assert np.isfinite(sweep.planar.ranges).all()
+        away = sweep.base_from_laser.apply(sweep.planar.hits()) - (0.2, 0.0)
+        assert np.hypot(*away.T) == pytest.approx(3.0)
+        assert away.mean(axis=0) @ (math.cos(yaw), math.sin(yaw)) > 2.5
+
+
+@pytest.mark.parametrize(("mounted", "odometry"), [(False, True), (True, False)])
+def test_a_camera_that_may_be_carried_is_registered_in_space(
+    path: Path, mounted: bool, odometry: bool
+) -> None:
+    write_camera(path, 0.0, mounted)
+    sweeps, _ = sweeps_of(path, use_odometry=odometry)
+    assert all(sweep.cloud is not None for sweep in sweeps)
