@@ -104,8 +104,7 @@ def compare(
     The maps find each other by what they show; they need no common frame. Then: submaps that are
     the same, new, gone, split or merged; ways that were closed or opened; walls and furniture that
     appeared or vanished, judged where both maps saw. Maps that do not fit in one way only are
-    refused with the reason, exit code 4. Of the settings only
-    those of section `limits` count.
+    refused with the reason, exit code 4. Of the settings only the section `limits` counts.
 
     \b
     specmap compare monday friday

@@ -6,7 +6,6 @@ Stamps are header stamps in integer nanoseconds; lengths are metres, angles radi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -23,7 +22,6 @@ BoolArray = NDArray[np.bool_]
 
 NO_SUBMAP = -1
 _NS = 1e9
-NARROW_RAD = math.radians(170.0)  # lasers that see half a circle end a beam or two before it
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +51,9 @@ class Sweep:
     """One scan of a log, ready for registration.
 
     `cloud` (N, 3) finite points in the base frame and `cloud_times_s` (N,) seconds after the stamp
-    are set for a 3D lidar only, whose `planar` scan is the nearest return per bearing inside the
-    height band; of a camera on a robot that scan is all there is. `odom_from_base` is the odometry
-    at the stamp, None where there is none.
+    are set for a 3D lidar without odometry only. The `planar` scan of a lidar is the nearest return
+    per bearing inside the height band. `odom_from_base` is the odometry at the stamp, None where
+    there is none.
     """
 
     index: int

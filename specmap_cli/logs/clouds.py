@@ -13,7 +13,7 @@ from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.messages import CloudRecord
+from specmap_cli.logs.messages import BadMessageError, CloudRecord
 from specmap_cli.logs.planar import MOST_BEAMS
 from specmap_cli.logs.readers.encoding import NS_PER_S
 
@@ -76,6 +76,7 @@ def cloud_points(
     `CLOUD_RANGE_MAX_M` are left out, with their times. Times are None unless they are all finite,
     differ, and lie within `_CLOUD_TIME_MAX_S` of the stamp. Times of another clock, far from the
     stamp but near to each other, count from the earliest. `clock` keeps what is known of the lidar.
+    Raises BadMessageError where no point is left.
     """
     clock = PointClock() if clock is None else clock
     table = record.points.reshape(-1)
@@ -84,6 +85,8 @@ def cloud_points(
         points[:, column] = table[axis]
     squared = np.einsum("ij,ij->i", points, points)
     usable = (squared > 0.0) & (squared <= CLOUD_RANGE_MAX_M**2)  # false for NaN as well
+    if not usable.any():
+        raise BadMessageError("a cloud without points")
     kept = slice(None) if usable.all() else np.flatnonzero(usable)
     recorded = _times(table, stamp_ns, clock)
     times = recorded[kept] if recorded is not None else np.zeros(0)
@@ -252,8 +255,8 @@ class CloudFlattener:
     `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
     them. A floor of unknown height (None) is taken to be where the lowest returns of the first
     cloud are that has enough of them to tell; so are the bearings. The clouds of a `planar` laser
-    have one height, whichever it is, and their scans keep the times of the beams. The scans of a
-    `narrow` view end where it does.
+    have one height, whichever it is. A scan that `ends` has the bearings of the view alone. Beams
+    keep the times of their points.
     """
 
     def __init__(
@@ -263,13 +266,13 @@ class CloudFlattener:
         config: LogConfig,
         *,
         planar: bool = False,
-        narrow: bool = False,
+        ends: bool = False,
     ) -> None:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
         self._planar, self._shift, self._settled = planar, 0.0, False
-        self._narrow = narrow
+        self._ends = ends
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
@@ -294,7 +297,6 @@ class CloudFlattener:
         bins = _bins(turn, beams, self._shift)
         self._seen[bins[distance > 0.0]] = True
         inside = (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
-        times = None
         if not self._planar:
             floor_m = self._floor if floor_m is None else floor_m
             if floor_m is None:
@@ -304,24 +306,28 @@ class CloudFlattener:
                 self._floor = floor_m if len(heights) >= _FEWEST else None
             height = cloud[:, 2] - floor_m
             inside &= (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
-        elif times_s is not None and len(bins):  # of all beams by those of the points
-            order = np.argsort(bins, kind="stable")
-            times = np.interp(np.arange(beams), bins[order], times_s[order])
         ranges = np.where(self._seen, np.inf, np.nan)
-        nearest = np.full(beams, np.inf)
-        np.minimum.at(nearest, bins[inside], distance[inside])
-        ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
-        bearings = self._bearings
-        if self._narrow:
+        used = np.flatnonzero(inside)
+        used = used[np.argsort(-distance[used], kind="stable")]  # the last one of a bearing stays
+        ranges[bins[used]] = distance[used]
+        full_circle = bool(self._seen.mean() >= _CLOUD_FILLED_SHARE)
+        bearings, times = self._bearings, None
+        if times_s is not None and len(used):  # of the other beams by those beside them
+            times = np.full(beams, np.nan)
+            times[bins[used]] = times_s[used]
+            known = np.flatnonzero(np.isfinite(times))
+            times = np.interp(np.arange(beams), known, times[known])
+        if self._ends and not full_circle:
             first, count = span_of(self._seen)
             ranges = np.roll(ranges, -first)[:count]
+            times = None if times is None else np.roll(times, -first)[:count]
             bearings = bearings[first] + math.tau / beams * np.arange(count)
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,
             ranges=ranges,
             range_max=CLOUD_RANGE_MAX_M,
-            full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
+            full_circle=full_circle,
             beam_times_s=times,
         )
 

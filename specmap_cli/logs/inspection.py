@@ -21,7 +21,8 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs import summary
 from specmap_cli.logs.clocks import MOST_MESSAGES, odometry_of
-from specmap_cli.logs.messages import BadMessageError, decode_scan
+from specmap_cli.logs.clouds import cloud_points
+from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
@@ -226,7 +227,10 @@ def _read(
         is_scan, stamp = kind in SCAN_TYPES, None
         try:
             if is_scan:
-                stamp = decode_scan(message).stamp_ns
+                record = decode_scan(message)
+                stamp = record.stamp_ns
+                if isinstance(record, CloudRecord):
+                    cloud_points(record, stamp)
             elif kind in (ODOMETRY, TF_MESSAGE):
                 pose = odometry_of(message, chosen.odom_frame if chosen else None)
                 stamp = None if pose is None else pose.stamp_ns

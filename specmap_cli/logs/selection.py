@@ -259,13 +259,11 @@ class Selection:
 
     `topic` is that of the scans, `sensor` the one of the `sensors` on it that is read, `clock` what
     stamps its scans. `band_m` is the height band of a 3D cloud in metres above the floor, None for
-    planar scans and for clouds of planar lasers. `in_space` says that clouds are registered as they
-    are. Of a camera on a robot with odometry it is their planar scan: most of its points lie on the
-    floor, which looks the same wherever the robot goes. `ceilings_m` are distances that stand for
-    no return, as far as the first scans show. `base_from_laser` (4, 4) is the mounting, `floor_m`
-    the height of the floor in the base frame, None when it is unknown. `odometry` says whether
-    poses come from a topic, from transforms `odom_frame` -> `base_frame`, or not at all. `tree` are
-    the transforms known beforehand.
+    planar scans and for clouds of planar lasers. `ceilings_m` are distances that stand for no
+    return, as far as the first scans show. `base_from_laser` (4, 4) is the mounting, `floor_m` the
+    height of the floor in the base frame, None when it is unknown. `odometry` says whether poses
+    come from a topic, from transforms `odom_frame` -> `base_frame`, or not at all. `tree` are the
+    transforms known beforehand.
     """
 
     topic: TopicInfo
@@ -280,9 +278,17 @@ class Selection:
     odom_frame: str | None = None
     clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
-    in_space: bool = False
     ceilings_m: tuple[float, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    @property
+    def in_space(self) -> bool:
+        """Whether clouds are registered as they are, and not their planar scans.
+
+        Floor and ceiling look the same wherever a robot goes: where odometry tells which way is up
+        and how far it came, walls alone are the better guide.
+        """
+        return self.band_m is not None and self.odometry is None
 
     @property
     def note(self) -> str:
@@ -332,7 +338,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     base, base_from_laser, floor_m, assumed = place_laser(
         tree, sensor.frame, bases, child, config.base_frame, planar=not sensor.is_cloud
     )
-    shown = glance(log, topic, sensor, base_from_laser)
+    shown = glance(log, topic, sensor)
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
@@ -357,7 +363,6 @@ def select(log: Log, config: LogConfig) -> Selection:
         odom_frame=odom_frame,
         clock=clock,
         band_m=(config.band_min_m, config.band_max_m) if shown.has_height else None,
-        in_space=shown.has_height and not (shown.is_narrow and odometry and floor_m is not None),
         ceilings_m=shown.ceilings_m,
         warnings=(
             *shown.warnings,

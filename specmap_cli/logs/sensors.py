@@ -20,11 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from specmap_cli.core.errors import CHOICE, UsageError
-from specmap_cli.core.geometry import FloatArray, product
-from specmap_cli.core.records import NARROW_RAD
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
-from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M, cloud_points, span_of
+from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M, cloud_points
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
@@ -250,7 +248,6 @@ TRIED_MESSAGES = 50  # messages of a topic tried in search of one that can be re
 LOOK_SCANS = 100  # first scans looked at: which sensors share the topic, what stamps are worth
 _FLAT_M = 0.02  # heights of a planar laser's points, which a driver may round
 _FLAT_POINTS = 30  # fewer tell nothing of a lidar
-_BEARINGS = 360  # at which clouds are looked at, a degree each
 _LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
@@ -282,26 +279,20 @@ class Glance(NamedTuple):
     """What the first scans of one sensor show.
 
     `has_height` says that its clouds are not of a planar laser, whose points have one height.
-    `is_narrow` says that they all lie ahead, as those of a camera do, in less than half a circle.
     `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges
     and angles.
     """
 
     has_height: bool
-    is_narrow: bool
     ceilings_m: tuple[float, ...]
     warnings: tuple[str, ...]
 
 
-def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray) -> Glance:
-    """Look at the first scans of one sensor, one in memory at a time.
-
-    `base_from_laser` (4, 4) is its mounting.
-    """
-    seen = np.zeros(_BEARINGS, dtype=np.bool_)  # whether anything of a cloud lies at each
+def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
+    """Look at the first scans of one sensor, one in memory at a time."""
     leveller = ScanLeveller(np.eye(4))
     size = points = 0
-    has_height, is_narrow, middle_m, span_rad = False, False, math.nan, math.nan
+    has_height, middle_m, span_rad = False, math.nan, math.nan
     for message in islice(log.messages([topic.name]), LOOK_SCANS):
         size += len(message.data)
         with suppress(BadMessageError):
@@ -313,14 +304,10 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
                         span_rad = abs(increment(record.layout)) * (record.layout.beams - 1)
                     leveller.level(record, record.stamp_ns)
                 else:
-                    cloud = cloud_points(record, record.stamp_ns).points
-                    points += len(cloud)
-                    has_height |= len(cloud) > 0 and float(np.ptp(cloud[:, 2])) > _FLAT_M
-                    x, y = product(cloud, base_from_laser[:2, :3].T).T
-                    turns = np.arctan2(y, x)[np.hypot(x, y) > 0.0] / math.tau + 0.5
-                    seen[(turns * (_BEARINGS - 1)).astype(np.int64)] = True
-        is_narrow = has_height and math.tau * span_of(seen)[1] / _BEARINGS < NARROW_RAD
-        if (has_height and not is_narrow) or size >= _LOOK_BYTES:
+                    heights = cloud_points(record, record.stamp_ns).points[:, 2]
+                    points += len(heights)
+                    has_height = len(heights) > 0 and float(np.ptp(heights)) > _FLAT_M
+        if has_height or size >= _LOOK_BYTES:
             break
     far = (
         f"half of the returns of the first scan on {topic.name} are farther than "
@@ -332,7 +319,6 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
     )
     return Glance(
         has_height=sensor.is_cloud and (has_height or points < _FLAT_POINTS),
-        is_narrow=is_narrow,
         ceilings_m=leveller.ceiling.values_m,
         warnings=(
             *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),

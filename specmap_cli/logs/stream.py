@@ -303,7 +303,7 @@ class _SweepMaker:
         self.flattener = CloudFlattener(
             *(selection.base_from_laser, selection.floor_m, config),
             planar=not has_height,
-            narrow=has_height and not selection.in_space,
+            ends=has_height and not selection.in_space,
         )
         # a cloud that shows no floor has the level of the one before it
         self._is_level = selection.floor_m is not None or not has_height
@@ -363,8 +363,6 @@ class _SweepMaker:
 
     def _from_cloud(self, record: CloudRecord, stamp_ns: int) -> Sweep:
         points, times_s, far_times = cloud_points(record, stamp_ns, self.points_clock)
-        if not len(points):
-            raise BadMessageError("a cloud without points")
         self.counts["far_times"] += far_times
         self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser = self.selection.base_from_laser

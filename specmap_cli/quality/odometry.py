@@ -34,10 +34,10 @@ ODOMETRY, MISPLACED = "odometry-disagrees", "laser-misplaced"
 _OTHER_UNIT = 2.0  # times the way of the map: no wheels slip so, a unit or a gear is wrong
 _STANDS = 1e-4  # times the way of the map: below any unit, the driver writes no motion
 # By which a laser may sit elsewhere than the log says, and look elsewhere, before it is told.
-MISPLACED_M, MISPLACED_RAD = 0.3, 0.1
+_MISPLACED_M, _MISPLACED_RAD = 0.3, 0.1
 _PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
 _PIECES = 20  # fewer of them tell nothing
-LEAST_TURNS = 10  # pieces that turn: of fewer the noise may be the other way round
+_LEAST_TURNS = 10  # pieces that turn: of fewer the noise may be the other way round
 _SLOW = 0.5  # share of a piece below which it is the noise of a robot that stands
 _ALIKE_RAD = 0.1  # turns of map and odometry, in most pieces that turn: late odometry has others
 _HUBER, _MEDIAN_OFF = 1.345, 1.177  # standard deviations: where doubt begins; of half of all
@@ -51,7 +51,7 @@ _ROUNDS = 20  # of weighting the pieces anew: later ones change nothing
 def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
     """A laser that is not where the log says: the way of the map is not that of the base."""
     otherwise, turns = turned_otherwise(evidence.trajectory)
-    if turns >= LEAST_TURNS and 2 * otherwise > turns:
+    if turns >= _LEAST_TURNS and 2 * otherwise > turns:
         yield Finding(
             code=MISPLACED,
             severity="doubtful",
@@ -65,7 +65,7 @@ def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
     if base == IDENTITY:
         return
     laser, turn_rad = base.inverse() @ evidence.mounting, abs(base.theta)
-    away = base.distance > MISPLACED_M
+    away = base.distance > _MISPLACED_M
     yield Finding(
         code=MISPLACED,
         # without a mounting in the log, the laser is the base, and the map is right of it
@@ -75,8 +75,12 @@ def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
         "where the log has it",
         advice="correct the transform from the base to the laser",
         value=base.distance if away else turn_rad,
-        limit=MISPLACED_M if away else MISPLACED_RAD,
+        limit=_MISPLACED_M if away else _MISPLACED_RAD,
     )
+
+
+def _degrees(angle: float) -> str:
+    return counted(round(math.degrees(angle)), "degree")
 
 
 def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
@@ -157,10 +161,6 @@ def _scaled(by_map: FloatArray, by_odometry: FloatArray) -> Iterator[Finding]:
         )
 
 
-def _degrees(angle: float) -> str:
-    return counted(round(math.degrees(angle)), "degree")
-
-
 def turned_otherwise(trajectory: Trajectory) -> tuple[int, int]:
     """How many turns by the map odometry has the other way round, and how many turns there are."""
     turns, by_odometry = (motions[:, 2] for motions in _pieces(trajectory))
@@ -193,7 +193,7 @@ def base_by_odometry(trajectory: Trajectory) -> Pose2:
     heading and the scale of the wheels (Censi et al., "Simultaneous Calibration of Odometry and
     Sensor Parameters for Mobile Robots", T-RO 2013). They follow by least squares with Huber's
     weights. IDENTITY where too little of the way tells of them, or where they are no more than
-    `MISPLACED_M` and `MISPLACED_RAD` and two standard deviations off.
+    `_MISPLACED_M` and `_MISPLACED_RAD` and two standard deviations off.
     """
     by_map, by_odometry = _pieces(trajectory)
     alike = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _ALIKE_RAD
@@ -218,7 +218,7 @@ def base_by_odometry(trajectory: Trajectory) -> Pose2:
         return IDENTITY
     place, turn = sp / s, -float(np.angle(s))
     sure_m, sure_rad = 2.0 * usual / abs(s) * np.sqrt(np.array([mm, cc]) / free)
-    elsewhere = abs(place) - sure_m > MISPLACED_M or abs(turn) - sure_rad > MISPLACED_RAD
-    if sure_rad > MISPLACED_RAD or not elsewhere:
+    elsewhere = abs(place) - sure_m > _MISPLACED_M or abs(turn) - sure_rad > _MISPLACED_RAD
+    if sure_rad > _MISPLACED_RAD or not elsewhere:
         return IDENTITY
     return Pose2(float(place.real), float(place.imag), turn)

@@ -126,9 +126,7 @@ class FrontEnd:
         The first scans of a map are provisional, see `take`.
         """
         expected = self._motion.expect(sweep)
-        view = view_of(
-            sweep, expected.during, expected.interval_s, self.config, measured=expected.measured
-        )
+        view = view_of(sweep, expected.during, expected.interval_s, self.config)
         if self._map is None:  # made for the sensor of the first sweep
             config, planar = self.config, sweep.cloud is None
             sensor = SensorKind(

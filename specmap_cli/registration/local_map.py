@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
-from specmap_cli.core.records import NARROW_RAD
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Weakest, Window, search, weakest_direction
@@ -40,6 +39,7 @@ _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a w
 # Kernels tried first, those above half a voxel for 3D clouds alone; all of them follow only if
 # their result is in doubt.
 QUICK_KERNEL_VOXELS = (1.5, 0.25)
+_NARROW_RAD = math.radians(170.0)  # lasers that see half a circle end a beam or two before it
 _COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full convergence
 _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
 
@@ -210,7 +210,7 @@ class Scene:
     def is_narrow(self) -> bool:
         """Whether the sweep is planar and less than half a circle, as depth cameras make them."""
         bearings = self.view.planar.bearings
-        return not self.local.sensor.in_space and bool(np.ptp(bearings) < NARROW_RAD)
+        return not self.local.sensor.in_space and bool(np.ptp(bearings) < _NARROW_RAD)
 
     def score(self, place: Pose2) -> float:
         """How well, in [0, 1], the sweep's walls lie on the map's when the base is at a place."""

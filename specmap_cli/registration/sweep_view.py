@@ -55,13 +55,8 @@ def view_of(
     during: Pose2,
     interval_s: float,
     config: RegistrationConfig,
-    *,
-    measured: bool = False,
 ) -> SweepView:
-    """The points of a sweep, de-skewed with the motion expected during it, and its seconds.
-
-    Where odometry `measured` the motion since the sweep before, fewer points are registered.
-    """
+    """The points of a sweep, de-skewed with the motion expected during it, and its seconds."""
     scan = deskewed(sweep.planar, sweep.base_from_laser, during, interval_s)
     reach_m = min(config.max_range_m, _BELOW_RANGE_MAX * sweep.planar.range_max)
     near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
@@ -83,9 +78,8 @@ def view_of(
         usable = usable_times(times_s, len(points))
         times_s = times_s[kept] if times_s is not None and usable else None
         dense = moved_returns(points[kept], times_s, during, interval_s)
-        most = _MAX_CLOUD_POINTS // 2 if measured else _MAX_CLOUD_POINTS
-        cloud = _thinned_to(dense, config.cloud_voxel_m, most)
-        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, most // 2)
+        cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)
+        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, _MAX_CLOUD_POINTS // 2)
     return SweepView(
         planar=scan,
         cloud=cloud,

@@ -271,10 +271,9 @@ def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
     if abs(behind) < _SLIP_M:
         return fit
-    if not scene.local.sensor.in_space:
-        along, _ = _carried_along(scene, guess, fit)
-        if along is not fit:
-            return along
+    along, _ = _carried_along(scene, guess, fit)
+    if along is not fit:
+        return along
     for share in _SHARES:
         place = here @ Pose2(share * behind, 0.0, 0.0)
         score = scene.score(place)

@@ -101,8 +101,12 @@ def test_any_layout_gives_the_points_and_their_times(
     for place, wrong in enumerate(holes[: len(flat)]):  # at the origin, beyond range, or nowhere
         for axis in "xyz" if wrong == 0.0 else "y":
             flat[axis][place] = wrong
-    points, times, _ = points_of(decoded_cloud(cloud_message(table, padding)))
-    kept = flat[len(holes) :]
+    record, kept = decoded_cloud(cloud_message(table, padding)), flat[len(holes) :]
+    if not len(kept):
+        with pytest.raises(BadMessageError, match="a cloud without points"):
+            points_of(record)
+        return
+    points, times, _ = points_of(record)
     np.testing.assert_array_equal(points, np.column_stack([kept[axis] for axis in "xyz"]))
     if len(kept) > 1:
         np.testing.assert_array_equal(times, kept["time"])
@@ -359,39 +363,49 @@ def test_one_cloud_with_height_makes_it_a_lidar_in_space(flat_tour: Tour, path: 
     assert all(sweep.cloud is not None for sweep in sweeps)
 
 
-def write_camera(path: Path, yaw: float, mounted: bool = True) -> None:
-    """Clouds of a camera, 0.5 m up, of 80 degrees: the floor, and a wall 3 m ahead."""
-    b, z = (grid.ravel() for grid in np.meshgrid(np.radians(np.arange(-39.75, 40.0)), np.arange(9)))
+def write_camera(path: Path, yaw: float, view_deg: float = 80.0, mounted: bool = True) -> None:
+    """Clouds of a camera, 0.5 m up: the floor, and a wall 3 m ahead; a turn takes 0.1 s."""
+    columns = np.radians(np.arange(view_deg) - view_deg / 2 + 0.25)
+    b, z = (grid.ravel() for grid in np.meshgrid(columns, np.arange(9)))
     wall = np.column_stack([3.0 * np.cos(b), 3.0 * np.sin(b), 0.2 * z - 0.5])
     floor = np.column_stack([wall[:, :2] * (z / 9.0)[:, None], np.full(len(z), -0.5)])
+    points = np.concatenate([floor, wall, np.zeros((1, 3))])
+    times = 0.1 * np.concatenate([b, b, [0.0]]) / math.tau + 0.05
     with LogWriter(path) as log:
         if mounted:
             turned = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
             log.static_transform("base_link", "camera", (0.2, 0.0, 0.5), turned)
         for number in range(5):
             log.odometry("/odom", "odom", "base_link", number, Pose2(0.1 * number, 0.0, 0.0))
-            log.cloud("/points", "camera", number, np.concatenate([floor, wall, np.zeros((1, 3))]))
+            log.cloud("/points", "camera", number, points, times)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 3.0])
-def test_of_a_camera_on_a_robot_the_planar_scan_is_registered(path: Path, yaw: float) -> None:
-    """Its scan ends where its view does, also behind the robot."""
-    write_camera(path, yaw)
+@pytest.mark.parametrize("view_deg", [80.0, 240.0, 360.0])
+def test_of_a_robot_with_odometry_the_planar_scan_of_its_clouds_is_registered(
+    path: Path, yaw: float, view_deg: float
+) -> None:
+    """It ends where the view does, also behind the robot, and its beams have their times."""
+    write_camera(path, yaw, view_deg)
     sweeps, stream = sweeps_of(path)
     assert "m above the floor, registered by it alone" in stream.selection.note
     for sweep in sweeps:
+        scan = sweep.planar
         assert sweep.cloud is None
-        assert np.degrees(np.ptp(sweep.planar.bearings)) == pytest.approx(80.0, abs=1.0)
-        assert np.isfinite(sweep.planar.ranges).all()
-        away = sweep.base_from_laser.apply(sweep.planar.hits()) - (0.2, 0.0)
+        assert scan.full_circle == (view_deg == 360.0)
+        assert np.degrees(np.ptp(scan.bearings)) == pytest.approx(view_deg, abs=1.0)
+        assert np.isfinite(scan.ranges).all()
+        assert scan.beam_times_s is not None
+        expected = 0.1 * np.remainder((scan.bearings - yaw) / math.tau + 0.5, 1.0)
+        assert scan.beam_times_s == pytest.approx(expected, abs=5e-4)
+        away = sweep.base_from_laser.apply(scan.hits()) - (0.2, 0.0)
         assert np.hypot(*away.T) == pytest.approx(3.0)
-        assert away.mean(axis=0) @ (math.cos(yaw), math.sin(yaw)) > 2.5
+        assert away[len(away) // 2] @ (math.cos(yaw), math.sin(yaw)) > 2.5 or scan.full_circle
 
 
-@pytest.mark.parametrize(("mounted", "odometry"), [(False, True), (True, False)])
-def test_a_camera_that_may_be_carried_is_registered_in_space(
-    path: Path, mounted: bool, odometry: bool
-) -> None:
-    write_camera(path, 0.0, mounted)
-    sweeps, _ = sweeps_of(path, use_odometry=odometry)
-    assert all(sweep.cloud is not None for sweep in sweeps)
+@pytest.mark.parametrize("mounted", [False, True])
+def test_clouds_are_registered_in_space_without_odometry(path: Path, mounted: bool) -> None:
+    write_camera(path, 0.0, mounted=mounted)
+    for use_odometry in (True, False):
+        sweeps, _ = sweeps_of(path, use_odometry=use_odometry)
+        assert all((sweep.cloud is None) == use_odometry for sweep in sweeps)

@@ -277,7 +277,9 @@ def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
         log.raw("/scan", LASER_SCAN, b"\x00\x01\x00\x00rubbish", START)
         log.scan("/scan", "laser", START + 1, -1.0, 0.5, [2.0] * 5, range_max=8.0)
         log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00whatever", START + 2)
-    grid, scans = check_of(path)
+        log.cloud("/points", "lidar", START, np.zeros((40, 3)))
+    grid, clouds, scans = check_of(path, scan_topic="/scan")
+    assert (clouds.read, clouds.unusable) == (1, 1)
     assert (scans.read, scans.unusable) == (2, 1)
     assert scans.text() == "2 of 2 messages read; 1 unusable"
     assert (grid.read, grid.unusable) == (1, 0)

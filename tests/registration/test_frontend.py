@@ -59,7 +59,7 @@ def test_what_a_depth_camera_leaves_open_odometry_tells(world: GridMap) -> None:
     draws = [sweeps(world, truth := path(), 1.0, 160, 4.0, seed=seed) for seed in range(3)]
     errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
     assert np.less(errors, (0.15, 0.04)).all()
-    with constants("registration.local_map", NARROW_RAD=0.0):
+    with constants("registration.local_map", _NARROW_RAD=0.0):
         errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
     assert np.greater(errors, (0.25, 0.1)).all()
 

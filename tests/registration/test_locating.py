@@ -194,7 +194,7 @@ def test_of_a_narrow_sweep_points_count_and_not_their_share(
 ) -> None:
     """All points fit the room turned by 0.3 rad; odometry says that the robot did not turn."""
     scene = scene_of(box(-0.3)[::every], box(0.0), ToldAligner(), looked_m=9.0)
-    with constants("registration.local_map", NARROW_RAD=7.0 if narrow else 0.0):
+    with constants("registration.local_map", _NARROW_RAD=7.0 if narrow else 0.0):
         located = locate(scene, IDENTITY, expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
     assert located.overrules == found
     assert located.fit.planar.theta == pytest.approx(0.3 if found else 0.0, abs=0.06)
@@ -218,7 +218,7 @@ def test_of_a_narrow_sweep_odometry_counts_since_the_last_keyframe() -> None:
     """From sweep to sweep the robot fell back a little, along a bare corridor by half a metre."""
     guess = guess_of(Pose2(-0.5, 0.0, 0.0), expecting(Pose2(0.02, 0.0, 0.0)))
     guess = replace(guess, since=Pose2(2.0, 0.0, 0.0))
-    with constants("registration.local_map", NARROW_RAD=7.0):
+    with constants("registration.local_map", _NARROW_RAD=7.0):
         located = located_by(scene_in_corridor(), guess)
     assert located.fit.planar.distance < 0.01
     assert located.agrees
