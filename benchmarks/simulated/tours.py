@@ -4,12 +4,13 @@ The sample office, two plans of Bormann et al. (ICRA 2016), and furnished random
 these with another laser (180 to 360 degrees, 4 to 30 m) and drift, one without odometry. A room is
 whole in at most two submaps. A door driven through is found when it joins two submaps; invented is
 a link between rooms that no door joins. Then random plans driven with depth cameras and odometry:
-as planar scans of 58 to 110 degrees that reach 4 to 10 m, and as clouds with the floor in view.
+as planar scans of 58 to 110 degrees that reach 4 to 10 m, and as clouds with the floor in view, of
+one camera and of several that are merged; and with lidars of 16 rings that spin while they drive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -41,7 +42,16 @@ TOURS = ("Freiburg79_scan_furnitures", "lab_c_scan")
 RANDOM = (("office", 1001), ("ring", 1002), ("hall", 1003), ("flat", 1004))
 DEPTH = tuple((kind, number) for number in (3301, 3302) for kind in BUILDINGS)
 CLOUDS = tuple((kind, 5801) for kind in BUILDINGS)
-MERGED_DEG = 240.0  # what three cameras see together
+CLOUD = {"rate_hz": 5.0, "max_duration_s": 200.0, "rings": 40, "vertical_fov_deg": 58.0}
+CLOUD |= {"laser_height_m": 0.4}
+SENSORS: dict[str, dict[str, float]] = {
+    "camera": {"beams": 240},
+    "merged": {"beams": 720, "field_of_view_deg": 240.0},  # what three cameras see together
+    "lidar": {
+        **{"beams": 720, "rings": 16, "vertical_fov_deg": 30.0, "range_max_m": 30.0},
+        **{"field_of_view_deg": 360.0, "rate_hz": 10.0, "sweep_s": 0.1, "speed_mps": 1.2},
+    },
+}
 _RIGHT_M = 0.3
 _LAPS = SimulationOptions(beams=541, speed_mps=0.8, spacing_m=3.0, laps=2, seed=3)
 
@@ -76,6 +86,8 @@ ROWS = (
         unit="m",
     ),
     Row("cloud_silent", "eight clouds: maps .3 m off called good", 0, 0, "less", ".0f"),
+    Row("lidar_ate", "four spinning lidars at 1.2 m/s: median ATE", 0.1, 0.05, "less", unit="m"),
+    Row("lidar_silent", "four lidars: maps .3 m off called good", 0, 0, "less", ".0f"),
 )
 
 
@@ -110,15 +122,15 @@ def measure(bench: Bench) -> Figures:
         random_off += [off_m] if tour.measured else []
         right += (off_m <= _RIGHT_M) == (verdict_of(tour.map_) == "good")
         print(line(tour, random_scores[-1], off_m), flush=True)
-    cameras = {"depth": depth_tours(bench), "cloud": cloud_tours(bench)}
-    of_cameras: dict[str, float] = {}
-    for what, tours in cameras.items():
+    views = {"depth": depth_tours(bench), "cloud": cloud_tours(bench, ("camera", "merged"))}
+    of_views: dict[str, float] = {}
+    for what, tours in {**views, "lidar": cloud_tours(bench, ("lidar",))}.items():
         found = [(tour.name, error(tour), verdict_of(tour.map_)) for tour in tours]
         for name, off_m, told in found:
             print(f"{name:30} ATE {off_m:.3f} {told}", flush=True)
-        of_cameras[f"{what}_ate"] = float(np.median([off_m for _, off_m, _ in found]))
+        of_views[f"{what}_ate"] = float(np.median([off_m for _, off_m, _ in found]))
         silent = [off_m > _RIGHT_M and told == "good" for _, off_m, told in found]
-        of_cameras[f"{what}_silent"] = sum(silent)
+        of_views[f"{what}_silent"] = sum(silent)
     return {
         "whole": float(np.mean([one.whole for one in scores])),
         "recognised": float(np.mean([one.recognised for one in scores])),
@@ -132,7 +144,7 @@ def measure(bench: Bench) -> Figures:
         "random_ate": max(random_off),
         "random_links": _links(random_scores),
         "random_verdicts": right / len(RANDOM),
-        **of_cameras,
+        **of_views,
     }
 
 
@@ -168,19 +180,12 @@ def depth_tours(bench: Bench) -> Iterator[Tour]:
         yield _toured(bench, f"depth-{kind}-{number}", drawing, options, measured=True)
 
 
-def cloud_tours(bench: Bench) -> Iterator[Tour]:
-    """The same with cameras that send clouds, of 40 rows, and see the floor, too.
-
-    Each plan is driven through with one camera, and with several that are merged into one cloud.
-    """
-    points = {"rings": 40, "vertical_fov_deg": 58.0, "laser_height_m": 0.4}
-    shorter = {"rate_hz": 5.0, "max_duration_s": 200.0}
-    for (kind, number), merged in product(CLOUDS, (False, True)):
-        drawing, options = random_plan(kind, number, furnished=True), depth_camera(kind, number)
-        view = {"field_of_view_deg": MERGED_DEG, "beams": 720} if merged else {"beams": 240}
-        options = options.model_copy(update=points | shorter | view)
-        name = f"{'merged' if merged else 'cloud'}-{kind}-{number}"
-        yield _toured(bench, name, drawing, options, measured=True)
+def cloud_tours(bench: Bench, kinds: Sequence[str]) -> Iterator[Tour]:
+    """Tours through random plans by robots with a sensor that sends clouds, floor and all."""
+    for (building, number), kind in product(CLOUDS, kinds):
+        drawing = random_plan(building, number, furnished=True)
+        options = depth_camera(building, number).model_copy(update=CLOUD | SENSORS[kind])
+        yield _toured(bench, f"{kind}-{building}-{number}", drawing, options, measured=True)
 
 
 def _toured(
