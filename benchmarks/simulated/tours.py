@@ -42,14 +42,28 @@ TOURS = ("Freiburg79_scan_furnitures", "lab_c_scan")
 RANDOM = (("office", 1001), ("ring", 1002), ("hall", 1003), ("flat", 1004))
 DEPTH = tuple((kind, number) for number in (3301, 3302) for kind in BUILDINGS)
 CLOUDS = tuple((kind, 5801) for kind in BUILDINGS)
-CLOUD = {"rate_hz": 5.0, "max_duration_s": 200.0, "rings": 40, "vertical_fov_deg": 58.0}
-CLOUD |= {"laser_height_m": 0.4}
+CAMERA = {
+    "beams": 240,
+    "rings": 40,
+    "vertical_fov_deg": 58.0,
+    "laser_height_m": 0.4,
+    "rate_hz": 5.0,
+    "max_duration_s": 200.0,
+}
 SENSORS: dict[str, dict[str, float]] = {
-    "camera": {"beams": 240},
-    "merged": {"beams": 720, "field_of_view_deg": 240.0},  # what three cameras see together
+    "camera": CAMERA,
+    "merged": CAMERA | {"beams": 720, "field_of_view_deg": 240.0},  # three that see it together
     "lidar": {
-        **{"beams": 720, "rings": 16, "vertical_fov_deg": 30.0, "range_max_m": 30.0},
-        **{"field_of_view_deg": 360.0, "rate_hz": 10.0, "sweep_s": 0.1, "speed_mps": 1.2},
+        "beams": 720,
+        "rings": 16,
+        "field_of_view_deg": 360.0,
+        "vertical_fov_deg": 30.0,
+        "range_max_m": 30.0,
+        "laser_height_m": 0.4,
+        "rate_hz": 10.0,
+        "sweep_s": 0.1,
+        "speed_mps": 1.2,
+        "max_duration_s": 200.0,
     },
 }
 _RIGHT_M = 0.3
@@ -184,7 +198,7 @@ def cloud_tours(bench: Bench, kinds: Sequence[str]) -> Iterator[Tour]:
     """Tours through random plans by robots with a sensor that sends clouds, floor and all."""
     for (building, number), kind in product(CLOUDS, kinds):
         drawing = random_plan(building, number, furnished=True)
-        options = depth_camera(building, number).model_copy(update=CLOUD | SENSORS[kind])
+        options = depth_camera(building, number).model_copy(update=SENSORS[kind])
         yield _toured(bench, f"{kind}-{building}-{number}", drawing, options, measured=True)
 
 

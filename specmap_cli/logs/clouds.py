@@ -251,12 +251,12 @@ class CloudFlattener:
 
     The band lies between two heights above the floor. A bearing with nothing in the band is +inf
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
-    there, and NaN where it never had one, outside its field of view. The number of bearings is
+    there, and NaN where it never had one. The number of bearings is
     `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
     them. A floor of unknown height (None) is taken to be where the lowest returns of the first
     cloud are that has enough of them to tell; so are the bearings. The clouds of a `planar` laser
-    have one height, whichever it is. A scan that `ends` has the bearings of the view alone. Beams
-    keep the times of their points.
+    have one height, whichever it is; other scans end where the view does, unless it is all round.
+    Beams keep the times of their points.
     """
 
     def __init__(
@@ -266,13 +266,11 @@ class CloudFlattener:
         config: LogConfig,
         *,
         planar: bool = False,
-        ends: bool = False,
     ) -> None:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
         self._planar, self._shift, self._settled = planar, 0.0, False
-        self._ends = ends
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
@@ -317,7 +315,7 @@ class CloudFlattener:
             times[bins[used]] = times_s[used]
             known = np.flatnonzero(np.isfinite(times))
             times = np.interp(np.arange(beams), known, times[known])
-        if self._ends and not full_circle:
+        if not (self._planar or full_circle):
             first, count = span_of(self._seen)
             ranges = np.roll(ranges, -first)[:count]
             times = None if times is None else np.roll(times, -first)[:count]

@@ -303,7 +303,6 @@ class _SweepMaker:
         self.flattener = CloudFlattener(
             *(selection.base_from_laser, selection.floor_m, config),
             planar=not has_height,
-            ends=has_height and not selection.in_space,
         )
         # a cloud that shows no floor has the level of the one before it
         self._is_level = selection.floor_m is not None or not has_height
