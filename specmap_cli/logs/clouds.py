@@ -138,13 +138,13 @@ _FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30
 
 
 class Level(NamedTuple):
-    """A cloud's rotation (3, 3) into a level frame, and the floor's height there if it is known.
+    """A cloud's rotation (3, 3) into a level frame, and the floor's height there.
 
     The level frame looks where the lidar's x axis looks, and has its origin.
     """
 
     rotation: FloatArray
-    floor_m: float | None
+    floor_m: float
 
 
 def floor_of(cloud: FloatArray) -> Level | None:

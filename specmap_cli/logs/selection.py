@@ -29,6 +29,7 @@ from specmap_cli.logs.readers.encoding import NS_PER_S, ODOMETRY, TF_MESSAGE
 from specmap_cli.logs.readers.recording import TopicInfo, time_text
 from specmap_cli.logs.sensors import (
     TRIED_MESSAGES,
+    Glance,
     ScanSensor,
     choose_scan_topic,
     choose_sensor,
@@ -118,7 +119,7 @@ class TransformTree:
         return np.asarray(np.linalg.inv(up) @ down)
 
 
-_TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
+_TILT_MAX_RAD = 0.175  # a laser tilted more against its transform, or as it says, is warned of
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
 _STANDING = ("earth", "map", "world")  # no robot moves these, nor frames of odometry (REP 105)
@@ -218,7 +219,7 @@ def place_laser(
     floors = usual_frames((_FLOOR_FRAME,), laser_frame)
     heights = [tree.lookup(base, frame) for frame in floors if joined is not None]
     floor = next((float(one[2, 3]) for one in heights if one is not None), None)
-    if floor is None and joined not in (None, laser_frame):
+    if floor is None and joined is not None:
         floor = 0.0
     warnings = list(tree.changes(carrier, laser_frame))
     tilt = math.acos(float(np.clip(base_from_laser[2, 2], -1.0, 1.0)))
@@ -338,7 +339,8 @@ def select(log: Log, config: LogConfig) -> Selection:
     base, base_from_laser, floor_m, assumed = place_laser(
         tree, sensor.frame, bases, child, config.base_frame, planar=not sensor.is_cloud
     )
-    shown = glance(log, topic, sensor)
+    shown = glance(log, topic, sensor, base_from_laser)
+    floor_m, of_floor = _floor(shown, floor_m, base)
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
@@ -367,9 +369,22 @@ def select(log: Log, config: LogConfig) -> Selection:
         warnings=(
             *shown.warnings,
             *_assumptions(log, topic.name, base, [*assumed, *left_out], tree, child, clock),
-            *([_UNKNOWN_FLOOR] if shown.has_height and floor_m is None else []),
+            *of_floor,
         ),
     )
+
+
+def _floor(shown: Glance, floor_m: float | None, base: str) -> tuple[float | None, list[str]]:
+    """The floor's height in the base frame, None where each cloud tells it; what is said of it."""
+    if floor_m is None:
+        return None, [_UNKNOWN_FLOOR] if shown.has_height else []
+    if shown.tilt_rad <= _TILT_MAX_RAD:
+        return floor_m, []
+    return None, [
+        f"the first clouds show a floor that is tilted by {math.degrees(shown.tilt_rad):.0f} "
+        f"degrees against {base!r}: the transform to the lidar is wrong, or the robot stands on a "
+        "ramp; each cloud is levelled by the floor that it shows"
+    ]
 
 
 def _assumptions(

@@ -20,9 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from specmap_cli.core.errors import CHOICE, UsageError
+from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
-from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M, cloud_points
+from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M, cloud_points, floor_of
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
@@ -248,6 +249,7 @@ TRIED_MESSAGES = 50  # messages of a topic tried in search of one that can be re
 LOOK_SCANS = 100  # first scans looked at: which sensors share the topic, what stamps are worth
 _FLAT_M = 0.02  # heights of a planar laser's points, which a driver may round
 _FLAT_POINTS = 30  # fewer tell nothing of a lidar
+_FLOOR_CLOUDS = 5  # first clouds whose floor is held against the mounting
 _LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
@@ -279,17 +281,22 @@ class Glance(NamedTuple):
     """What the first scans of one sensor show.
 
     `has_height` says that its clouds are not of a planar laser, whose points have one height.
+    `tilt_rad` is the angle of the floor that they show against the base, 0 where they show none.
     `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges
     and angles.
     """
 
     has_height: bool
+    tilt_rad: float
     ceilings_m: tuple[float, ...]
     warnings: tuple[str, ...]
 
 
-def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
-    """Look at the first scans of one sensor, one in memory at a time."""
+def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray) -> Glance:
+    """Look at the first scans of one sensor, one in memory at a time.
+
+    `base_from_laser` (4, 4) is its mounting.
+    """
     leveller = ScanLeveller(np.eye(4))
     size = points = 0
     has_height, middle_m, span_rad = False, math.nan, math.nan
@@ -319,12 +326,28 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
     )
     return Glance(
         has_height=sensor.is_cloud and (has_height or points < _FLAT_POINTS),
+        tilt_rad=_floor_tilt(log, topic, sensor, base_from_laser) if has_height else 0.0,
         ceilings_m=leveller.ceiling.values_m,
         warnings=(
             *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),
             *((wide,) if span_rad > _MOST_RAD else ()),
         ),
     )
+
+
+def _floor_tilt(
+    log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray
+) -> float:
+    """The angle between the base and the floor of a first cloud, where it is least; 0 for none."""
+    tilts = list[float]()
+    for message in islice(log.messages([topic.name]), _FLOOR_CLOUDS):
+        with suppress(BadMessageError):
+            record = decode_scan(message)
+            if isinstance(record, CloudRecord) and sensor.made(record):
+                points = cloud_points(record, record.stamp_ns).points
+                level = floor_of(product(points, base_from_laser[:3, :3].T))
+                tilts += [] if level is None else [math.acos(min(1.0, float(level.rotation[2, 2])))]
+    return min(tilts, default=0.0)
 
 
 def _middle_m(record: ScanRecord | CloudRecord) -> float:

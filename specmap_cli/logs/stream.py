@@ -304,9 +304,8 @@ class _SweepMaker:
             *(selection.base_from_laser, selection.floor_m, config),
             planar=not has_height,
         )
-        # a cloud that shows no floor has the level of the one before it
         self._is_level = selection.floor_m is not None or not has_height
-        self._level = Level(np.eye(3), None)
+        self._level: Level | None = None  # of the latest cloud that showed a floor
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
         self._number = 0  # of the sensor's scans so far
@@ -364,16 +363,19 @@ class _SweepMaker:
         points, times_s, far_times = cloud_points(record, stamp_ns, self.points_clock)
         self.counts["far_times"] += far_times
         self.counts["foreign_times"] = self.points_clock.foreign
-        base_from_laser = self.selection.base_from_laser
+        base_from_laser, floor_m = self.selection.base_from_laser, None
+        turn, place = base_from_laser[:3, :3], base_from_laser[:3, 3]
         if not self._is_level:  # the log does not say how it lies: by the floor in the cloud
-            self._level = floor_of(points) or self._level
-        turn = product(self._level.rotation, base_from_laser[:3, :3])
-        cloud = product(points, turn.T) + base_from_laser[:3, 3]
+            self._level = floor_of(product(points, turn.T)) or self._level
+        if self._level is not None:
+            turn = product(self._level.rotation, turn)
+            floor_m = self._level.floor_m + float(place[2])
+        cloud = product(points, turn.T) + place
         in_space = self.selection.in_space
         return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
-            planar=self.flattener.flatten(cloud, stamp_ns, self._level.floor_m, times_s),
+            planar=self.flattener.flatten(cloud, stamp_ns, floor_m, times_s),
             base_from_laser=self.flattener.mount,
             cloud=cloud if in_space else None,
             cloud_times_s=times_s if in_space else None,

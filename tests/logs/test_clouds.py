@@ -314,6 +314,33 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
         np.testing.assert_allclose(sweep, cloud, atol=0.05)
 
 
+@pytest.mark.parametrize(
+    ("height_m", "tilt_rad", "floor_m", "said"),
+    [
+        (1.2, 0.0, 0.0, ""),
+        (1.3, 0.02, 0.0, ""),
+        (1.2, 0.3, None, "a floor that is tilted by 17 degrees against 'base_link'"),
+    ],
+)
+def test_the_floor_that_clouds_show_counts_for_more_than_transforms(
+    path: Path, height_m: float, tilt_rad: float, floor_m: float | None, said: str
+) -> None:
+    """The lidar is 1.2 m above the floor; those of no height are recorded in the base frame."""
+    seen = Rotation.from_euler("X", tilt_rad).apply(room())
+    with LogWriter(path) as log:
+        if height_m:
+            log.static_transform("base_link", "lidar", (0.0, 0.0, height_m))
+        for number in range(3):
+            log.odometry("/odom", "odom", "base_link", number, Pose2(0.1 * number, 0.0, 0.0))
+            log.cloud("/points", "lidar" if height_m else "base_link", number, seen)
+    sweeps, stream = sweeps_of(path)
+    assert stream.selection.floor_m == pytest.approx(floor_m, abs=0.01)
+    assert said in " ".join(stream.warnings)
+    assert bool(said) == any("first clouds" in line for line in stream.warnings)
+    for sweep in sweeps:  # the table is in the way, the floor is not
+        assert np.hypot(*sweep.planar.hits().T).min() > 1.3
+
+
 LASTS_S = 0.08
 
 
