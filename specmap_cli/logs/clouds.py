@@ -251,12 +251,12 @@ class CloudFlattener:
 
     The band lies between two heights above the floor. A bearing with nothing in the band is +inf
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
-    there, and NaN where it never had one. The number of bearings is
-    `_CLOUD_BEAMS`, that of its beams for a planar laser, halved until the lidar's resolution fills
-    them. A floor of unknown height (None) is taken to be where the lowest returns of the first
-    cloud are that has enough of them to tell; so are the bearings. The clouds of a `planar` laser
-    have one height, whichever it is; other scans end where the view does, unless it is all round.
-    Beams keep the times of their points.
+    there, and NaN where it never had one. The number of bearings is `_CLOUD_BEAMS`, that of its
+    beams for a planar laser, halved until the lidar's resolution fills them. A floor of unknown
+    height (None) is taken to be where the lowest returns of the first cloud are that has enough of
+    them to tell; so are the bearings. The clouds of a `planar` laser have one height, whichever it
+    is; other scans end where the view does, unless it is all round. Beams have the times of their
+    points.
     """
 
     def __init__(

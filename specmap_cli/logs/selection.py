@@ -119,7 +119,7 @@ class TransformTree:
         return np.asarray(np.linalg.inv(up) @ down)
 
 
-_TILT_MAX_RAD = 0.175  # a laser tilted more against its transform, or as it says, is warned of
+_TILT_MAX_RAD = 0.175  # a planar laser, or the floor of clouds, that is tilted more is warned of
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
 _STANDING = ("earth", "map", "world")  # no robot moves these, nor frames of odometry (REP 105)

@@ -319,6 +319,7 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
     [
         (1.2, 0.0, 0.0, ""),
         (1.3, 0.02, 0.0, ""),
+        (0.0, 0.0, 0.0, ""),
         (1.2, 0.3, None, "a floor that is tilted by 17 degrees against 'base_link'"),
     ],
 )
