@@ -140,11 +140,13 @@ _FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30
 class Level(NamedTuple):
     """A cloud's rotation (3, 3) into a level frame, and the floor's height there.
 
-    The level frame looks where the lidar's x axis looks, and has its origin.
+    The level frame looks where the lidar's x axis looks, and has its origin. `seen_m` is the mean
+    height of the floor's returns in the frame of the cloud.
     """
 
     rotation: FloatArray
     floor_m: float
+    seen_m: float
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
@@ -164,15 +166,17 @@ def floor_of(cloud: FloatArray) -> Level | None:
     rotation = tilts[number]
     for width_m in _WIDTHS_M:
         turned = product(near, rotation.T)
-        floor = turned[np.abs(turned[:, 2] - height) < width_m]
-        plane = _plane(floor)
+        of_floor = np.abs(turned[:, 2] - height) < width_m
+        plane = _plane(turned[of_floor])
         if plane is None:
             return None
         normal, height = plane
         rotation = _upright(product(normal[None], rotation)[0])
-    enough = len(floor) >= _FLOOR_SHARE * len(near)
+    enough = np.count_nonzero(of_floor) >= _FLOOR_SHARE * len(near)
     upright = float(rotation[2, 2]) >= math.cos(_FLOOR_TILT_MAX_RAD)
-    return Level(rotation, height) if enough and upright and height < 0.0 else None
+    if not (enough and upright and height < 0.0):
+        return None
+    return Level(rotation, height, float(near[of_floor, 2].mean()))
 
 
 @cache

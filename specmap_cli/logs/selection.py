@@ -340,7 +340,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         tree, sensor.frame, bases, child, config.base_frame, planar=not sensor.is_cloud
     )
     shown = glance(log, topic, sensor, base_from_laser)
-    floor_m, of_floor = _floor(shown, floor_m, base)
+    floor_m, of_floor = _floor(shown, floor_m, base, config)
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
@@ -374,17 +374,29 @@ def select(log: Log, config: LogConfig) -> Selection:
     )
 
 
-def _floor(shown: Glance, floor_m: float | None, base: str) -> tuple[float | None, list[str]]:
-    """The floor's height in the base frame, None where each cloud tells it; what is said of it."""
+def _floor(
+    shown: Glance, floor_m: float | None, base: str, config: LogConfig
+) -> tuple[float | None, list[str]]:
+    """The floor's height in the base frame, None where each cloud tells it; what is said of it.
+
+    Clouds tell it where the log does not, and where the first ones contradict the log: the floor
+    is tilted, or it would be seen as walls, or half of the band of heights would look above walls.
+    """
     if floor_m is None:
         return None, [_UNKNOWN_FLOOR] if shown.has_height else []
-    if shown.tilt_rad <= _TILT_MAX_RAD:
+    tilt_rad = shown.tilt_rad or 0.0
+    above_m = 0.0 if shown.floor_m is None else shown.floor_m - floor_m
+    most_below_m = 0.5 * (config.band_max_m - config.band_min_m)
+    if tilt_rad > _TILT_MAX_RAD:
+        lies = f"is tilted by {math.degrees(tilt_rad):.0f} degrees against {base!r}"
+        why = "the transform to the lidar is wrong, or the robot stands on a ramp"
+    elif not -most_below_m <= above_m <= config.band_min_m:
+        lies = f"lies {abs(above_m):.2f} m {'above' if above_m > 0.0 else 'below'} that of {base!r}"
+        why = f"the lidar has a wrong height, or {base!r} is not on the floor"
+    else:
         return floor_m, []
-    return None, [
-        f"the first clouds show a floor that is tilted by {math.degrees(shown.tilt_rad):.0f} "
-        f"degrees against {base!r}: the transform to the lidar is wrong, or the robot stands on a "
-        "ramp; each cloud is levelled by the floor that it shows"
-    ]
+    told = f"the first clouds show a floor that {lies}: {why}"
+    return None, [f"{told}; each cloud is levelled by the floor that it shows"]
 
 
 def _assumptions(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -281,13 +281,14 @@ class Glance(NamedTuple):
     """What the first scans of one sensor show.
 
     `has_height` says that its clouds are not of a planar laser, whose points have one height.
-    `tilt_rad` is the angle of the floor that they show against the base, 0 where they show none.
-    `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges
-    and angles.
+    `tilt_rad` and `floor_m` are the angle of the floor that they show against the base and its
+    height there, None where they show none. `ceilings_m` are the distances that stand for no
+    return, `warnings` what is odd about ranges and angles.
     """
 
     has_height: bool
-    tilt_rad: float
+    tilt_rad: float | None
+    floor_m: float | None
     ceilings_m: tuple[float, ...]
     warnings: tuple[str, ...]
 
@@ -324,9 +325,11 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
         f"the angles of the first scan on {topic.name} span {span_rad:,.0f} radians, more than a "
         "turn: are they in degrees? They must be in radians"
     )
+    floors = list(_floors(log, topic, sensor, base_from_laser) if has_height else ())
     return Glance(
         has_height=sensor.is_cloud and (has_height or points < _FLAT_POINTS),
-        tilt_rad=_floor_tilt(log, topic, sensor, base_from_laser) if has_height else 0.0,
+        tilt_rad=min((tilt for tilt, _ in floors), default=None),
+        floor_m=min((height for _, height in floors), key=abs, default=None),
         ceilings_m=leveller.ceiling.values_m,
         warnings=(
             *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),
@@ -335,19 +338,23 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
     )
 
 
-def _floor_tilt(
+def _floors(
     log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray
-) -> float:
-    """The angle between the base and the floor of a first cloud, where it is least; 0 for none."""
-    tilts = list[float]()
+) -> Iterator[tuple[float, float]]:
+    """The angle against the base of the floor of each first cloud that shows it, and its height.
+
+    The height is that of the floor's returns: where the plane meets the base, it errs more.
+    """
+    turn, place = base_from_laser[:3, :3], base_from_laser[:3, 3]
     for message in islice(log.messages([topic.name]), _FLOOR_CLOUDS):
         with suppress(BadMessageError):
             record = decode_scan(message)
             if isinstance(record, CloudRecord) and sensor.made(record):
                 points = cloud_points(record, record.stamp_ns).points
-                level = floor_of(product(points, base_from_laser[:3, :3].T))
-                tilts += [] if level is None else [math.acos(min(1.0, float(level.rotation[2, 2])))]
-    return min(tilts, default=0.0)
+                level = floor_of(product(points, turn.T))
+                if level is not None:
+                    tilt = math.acos(min(1.0, float(level.rotation[2, 2])))
+                    yield tilt, level.seen_m + float(place[2])
 
 
 def _middle_m(record: ScanRecord | CloudRecord) -> float:

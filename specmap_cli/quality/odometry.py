@@ -31,10 +31,10 @@ from specmap_cli.quality.evidence import (
 
 ODOMETRY, MISPLACED = "odometry-disagrees", "laser-misplaced"
 
-_OTHER_UNIT = 2.0  # times the way of the map: no wheels slip so, a unit or a gear is wrong
+_OTHER_UNIT = 1.5  # times the way of the map: no wheels slip so, a unit or a gear is wrong
 _STANDS = 1e-4  # times the way of the map: below any unit, the driver writes no motion
 # By which a laser may sit elsewhere than the log says, and look elsewhere, before it is told.
-_MISPLACED_M, _MISPLACED_RAD = 0.3, 0.1
+_MISPLACED_M, _MISPLACED_RAD = 0.3, 0.05
 _PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
 _PIECES = 20  # fewer of them tell nothing
 _LEAST_TURNS = 10  # pieces that turn: of fewer the noise may be the other way round
@@ -122,30 +122,50 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
         return
     where = evidence.at_scan(int(starts[worst]))
     place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
-    advice, scale = "is the odometry of this robot and this clock?", float(np.median(times))
-    if scale < _STANDS:
-        advice = "by odometry the robot stands still: build with --no-odometry"
-    elif not 1.0 / _OTHER_UNIT < scale < _OTHER_UNIT:
-        times_as_far = f"{float(f'{scale:.2g}'):,g} times as far as the map"
-        advice = f"odometry goes {times_as_far}: is it in metres?"
+    stands = times < _STANDS
+    advice = ""
+    if everywhere:
+        ratios = _ratios(by_map, by_odometry)
+        advice = _unlike(float(np.median(ratios if len(ratios) else times)))
+    elif stands[worst]:
+        advice = (
+            f"by odometry the robot stands there, in all for {stands.mean():.0%} of the way: if "
+            "nobody carried it, its odometry hung: build with --no-odometry"
+        )
     yield Finding(
         code=ODOMETRY,
         severity="doubtful" if everywhere else "note",
         message=f"odometry and the map disagree by {share:.0%} of the way {place}",
-        advice=advice if everywhere else "",
+        advice=advice,
         value=share,
         limit=limit,
         where=where,
     )
 
 
-def _scaled(by_map: FloatArray, by_odometry: FloatArray) -> Iterator[Finding]:
-    """Odometry that goes farther than the map, or less far, by one ratio on all pieces (n, 3)."""
+def _unlike(times: float) -> str:
+    """What to do about odometry that goes so many times as far as the map, but another way."""
+    if times < _STANDS:
+        return "by odometry the robot stands still: build with --no-odometry"
+    if 1.0 / _OTHER_UNIT < times < _OTHER_UNIT:
+        return "is the odometry of this robot and this clock?"
+    as_far = f"{float(f'{times:.2g}'):,g} times as far as the map"
+    return f"odometry goes {as_far}: is it in metres, of these wheels and this gear?"
+
+
+def _ratios(by_map: FloatArray, by_odometry: FloatArray) -> FloatArray:
+    """How many times as far as by the map each straight piece of motions (n, 3) is by odometry."""
     gone_m, driven_m = (np.hypot(motions[:, 0], motions[:, 1]) for motions in (by_map, by_odometry))
     straight = gone_m > 0.5 * ODOMETRY_WINDOW_M
-    if np.count_nonzero(straight) < _FEWEST:
+    return np.asarray(driven_m[straight] / gone_m[straight])
+
+
+def _scaled(by_map: FloatArray, by_odometry: FloatArray) -> Iterator[Finding]:
+    """Odometry that goes farther than the map, or less far, by one ratio on all pieces (n, 3)."""
+    ratios = _ratios(by_map, by_odometry)
+    if len(ratios) < _FEWEST:
         return
-    low, times, high = np.percentile(driven_m[straight] / gone_m[straight], (25, 50, 75)).tolist()
+    low, times, high = np.percentile(ratios, (25, 50, 75)).tolist()
     # what three quarters of the pieces are off by: wheels that slip do so in some
     off = max(low - 1.0, 1.0 - high)
     if off > _SCALED_NOTED:

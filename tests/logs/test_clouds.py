@@ -319,8 +319,9 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
     [
         (1.2, 0.0, 0.0, ""),
         (1.3, 0.02, 0.0, ""),
-        (0.0, 0.0, 0.0, ""),
         (1.2, 0.3, None, "a floor that is tilted by 17 degrees against 'base_link'"),
+        (1.4, 0.0, None, "a floor that lies 0.20 m above that of 'base_link'"),
+        (0.0, 0.0, None, "a floor that lies 1.20 m below that of 'base_link'"),
     ],
 )
 def test_the_floor_that_clouds_show_counts_for_more_than_transforms(
