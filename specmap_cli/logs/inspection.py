@@ -25,7 +25,14 @@ from specmap_cli.logs.clouds import cloud_points
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
-from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
+from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    NS_PER_S,
+    ODOMETRY,
+    SCAN_TYPES,
+    TF_MESSAGE,
+    TF_STATIC,
+)
 from specmap_cli.logs.readers.recording import Message, time_text
 from specmap_cli.logs.selection import Selection, TransformTree, read_frames
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError, topics_beside
@@ -88,9 +95,12 @@ def _start_of(log: Log) -> tuple[int, list[str]]:
         for message in islice(log.messages([topic.name]), 1)
     }
     usual = [time_ns for time_ns in first.values() if time_ns >= earliest_ns]
-    odd = [name for name, time_ns in first.items() if time_ns < earliest_ns]
-    if not usual or not odd:
+    if not usual:
         return contents.start_ns, []
+    # a fixed transform holds at all times, and is often written with none
+    odd = [name for name, time_ns in first.items() if time_ns < earliest_ns and name != TF_STATIC]
+    if not odd:
+        return min(usual), []
     told = f"recorded at {time_text(first[odd[0]])}: {', '.join(map(legible, odd))}; the times "
     return min(usual), [f"{told}of the log are those of the other topics"]
 

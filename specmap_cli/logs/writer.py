@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from specmap_cli import __version__
 from specmap_cli.core.errors import Paths, path_of, paths_of
 from specmap_cli.core.files import complete_file, refuse_existing
-from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
@@ -72,16 +71,18 @@ class LogWriter:
         data = encoding.transforms_cdr(stamp_ns, [fixed])
         self.raw(encoding.TF_STATIC, encoding.TF_MESSAGE, data, stamp_ns)
 
-    def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
-        """A motion of the plane at one time, on `/tf`."""
+    def transform(
+        self, parent: str, child: str, stamp_ns: int, parent_from_child: encoding.Planar
+    ) -> None:
+        """A motion of the plane, (x, y, theta), at one time, on `/tf`."""
         moved = encoding.Transform(parent, child, *encoding.in_space(parent_from_child))
         data = encoding.transforms_cdr(stamp_ns, [moved])
         self.raw("/tf", encoding.TF_MESSAGE, data, stamp_ns)
 
     def odometry(
-        self, topic: str, frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2
+        self, topic: str, frame_id: str, child_frame_id: str, stamp_ns: int, pose: encoding.Planar
     ) -> None:
-        """`pose` is frame_from_child by dead reckoning, as `nav_msgs/msg/Odometry`."""
+        """`pose` is frame_from_child, (x, y, theta), by dead reckoning: `nav_msgs/msg/Odometry`."""
         data = encoding.odometry_cdr(frame_id, child_frame_id, stamp_ns, pose)
         self.raw(topic, encoding.ODOMETRY, data, stamp_ns)
 

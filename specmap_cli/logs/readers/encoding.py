@@ -21,7 +21,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from specmap_cli.core.geometry import Pose2
+Planar = tuple[float, float, float]  # x and y in metres, and a heading: a Pose2 is one
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
@@ -126,7 +126,7 @@ def cloud_cdr(
     )
 
 
-def odometry_cdr(frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2) -> bytes:
+def odometry_cdr(frame_id: str, child_frame_id: str, stamp_ns: int, pose: Planar) -> bytes:
     """An Odometry whose pose is frame_from_child; covariances and twist are zero."""
     xyz, quaternion = in_space(pose)
     zero = message_class("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0)
@@ -178,10 +178,10 @@ def transforms_cdr(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
     )
 
 
-def in_space(pose: Pose2) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+def in_space(pose: Planar) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
     """Translation and quaternion (x, y, z, w) in space of a pose in the plane."""
-    half = 0.5 * pose.theta
-    return (float(pose.x), float(pose.y), 0.0), (0.0, 0.0, math.sin(half), math.cos(half))
+    x, y, theta = pose
+    return (float(x), float(y), 0.0), (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
 
 
 def message_definition(type_name: str) -> bytes:
