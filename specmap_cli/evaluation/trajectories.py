@@ -23,6 +23,7 @@ from specmap_cli.maps.text_files import stamped_rows
 
 PATH_LENGTHS_M = (1.0, 5.0, 20.0)  # a room's details, a room, a wing of a building
 _TOLERANCE_NS = 2_000_000  # stamps in text files are rounded to microseconds at the worst
+_BETWEEN_NS = 250_000_000  # true poses this near in time tell those between them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,12 +139,13 @@ def relation_errors(trajectory: Trajectory, relations: Relations) -> RelativeErr
 def reference_errors(trajectory: Trajectory, reference: Trajectory) -> ReferenceErrors:
     """Errors of a trajectory against reference poses of the same body, joined by stamp.
 
-    Raises InputError when fewer than two stamps are common to both.
+    Where the reference has a pose before and after a stamp, at most 0.25 s apart, it is
+    interpolated. Raises InputError when fewer than two stamps are common to both.
     """
-    rows, found = associate(trajectory.stamps_ns, reference.stamps_ns)
+    rows, truth = _true_at(reference, trajectory.stamps_ns)
     if len(rows) < 2:
         raise _too_few(len(rows), len(reference.stamps_ns))
-    truth, poses = reference.poses[rows], trajectory.poses[found]
+    poses = trajectory.poses[rows]
     way = travelled(truth)
     relative = {}
     for length in PATH_LENGTHS_M:
@@ -162,8 +164,24 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
         end_m=float(np.hypot(*whole[:2])),
         end_deg=float(np.degrees(abs(whole[2]))),
         matched=len(rows),
-        total=len(reference.stamps_ns),
+        total=len(trajectory.stamps_ns),
     )
+
+
+def _true_at(reference: Trajectory, stamps_ns: IntArray) -> tuple[IntArray, FloatArray]:
+    """Which stamps (n,) the reference knows, in the order of time, and its poses (m, 3) there."""
+    known_ns, first = np.unique(reference.stamps_ns, return_index=True)
+    rows = np.argsort(stamps_ns, kind="stable")
+    wanted_ns = stamps_ns[rows]
+    after = np.clip(np.searchsorted(known_ns, wanted_ns), 1, max(len(known_ns) - 1, 1))
+    ends = [known_ns[np.minimum(k, len(known_ns) - 1)] for k in (after - 1, after)]
+    off_ns = np.minimum(*(np.abs(end - wanted_ns) for end in ends))
+    between = (ends[0] <= wanted_ns) & (wanted_ns <= ends[1]) & (ends[1] - ends[0] <= _BETWEEN_NS)
+    known = between | (off_ns <= _TOLERANCE_NS)
+    x, y, theta = reference.poses[first].T
+    times, wanted = (t - known_ns[0] for t in (known_ns, wanted_ns[known]))
+    columns = [np.interp(wanted, times, column) for column in (x, y, np.unwrap(theta))]
+    return rows[known], np.stack(columns, axis=1)
 
 
 def _too_few(common: int, total: int) -> InputError:
@@ -197,7 +215,7 @@ def relation_lines(errors: RelativeErrors) -> list[str]:
 
 def reference_lines(errors: ReferenceErrors) -> list[str]:
     """Relative errors at each length of path, the absolute error, the error from end to end."""
-    lines = [f"{errors.matched:,} of {errors.total:,} poses matched"]
+    lines = [f"the truth knows {errors.matched:,} of {errors.total:,} poses"]
     for length, relative in errors.relative.items():
         lines.append(f"relative errors over {length:g} m of path")
         lines += _spread_lines(relative.translation_m, relative.rotation_deg)

@@ -196,7 +196,7 @@ def test_the_lines_of_relations_and_of_a_reference() -> None:
     ]
     errors = trajectories.ReferenceErrors(relative=by_length, **absolute, matched=12, total=4000)
     assert trajectories.reference_lines(errors) == [
-        "12 of 4,000 poses matched",
+        "the truth knows 12 of 4,000 poses",
         "relative errors over 1 m of path",
         *spreads,
         "relative errors over 20 m of path",
@@ -204,7 +204,7 @@ def test_the_lines_of_relations_and_of_a_reference() -> None:
         *whole,
     ]
     errors = trajectories.ReferenceErrors(relative={}, **absolute, matched=12, total=4000)
-    assert trajectories.reference_lines(errors) == ["12 of 4,000 poses matched", *whole]
+    assert trajectories.reference_lines(errors) == ["the truth knows 12 of 4,000 poses", *whole]
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
@@ -373,11 +373,21 @@ def test_the_absolute_error_is_after_the_best_motion_and_the_end_error_before_an
     bent = Trajectory(truth.stamps_ns, truth.poses + (0.0, 0.0, np.radians(3.0)))
     stamps = np.concatenate([truth.stamps_ns, truth.stamps_ns + 5 * 10**7])
     found = trajectories.reference_errors(bent, Trajectory(stamps, np.tile(truth.poses, (2, 1))))
-    assert (found.matched, found.total) == (100, 200)
+    assert (found.matched, found.total) == (100, 100)
     assert found.ate_m == pytest.approx(0.0, abs=1e-9)
     assert found.end_deg == pytest.approx(0.0, abs=1e-9)
     way = truth.poses[-1, :2] - truth.poses[0, :2]
     assert found.end_m == pytest.approx(2 * np.sin(np.radians(1.5)) * np.hypot(*way))
+
+
+def test_a_truth_of_another_rate_is_interpolated_where_it_is_dense() -> None:
+    truth = walk(100)
+    rare, rarer = (Trajectory(truth.stamps_ns[::k] + 10**7, truth.poses[::k]) for k in (2, 3))
+    found = trajectories.reference_errors(truth, rare)
+    assert (found.matched, found.total) == (98, 100)
+    assert found.ate_m < 0.02
+    with pytest.raises(InputError, match="no stamps in common"):
+        trajectories.reference_errors(truth, rarer)
 
 
 @pytest.mark.parametrize(("common", "words"), [(0, "no stamps"), (1, "one stamp")])
