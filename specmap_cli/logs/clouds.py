@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import BadMessageError, CloudRecord
-from specmap_cli.logs.planar import MOST_BEAMS
+from specmap_cli.logs.planar import MOST_BEAMS, OwnBody
 from specmap_cli.logs.readers.encoding import NS_PER_S
 
 _CLOUD_TIME_MAX_S = 10.0  # times of points farther from the stamp are of no use
@@ -241,6 +241,7 @@ def span_of(seen: BoolArray) -> tuple[int, int]:
     return int(at[(widest + 1) % len(at)]), len(seen) + 1 - int(gaps[widest])
 
 
+_HOUSING_M = 0.1  # what is nearer is no return: drivers give points at or near the origin for none
 _FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray ones lie below it
 _CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
 _CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
@@ -268,9 +269,11 @@ class CloudFlattener:
         base_from_laser: FloatArray,
         floor_m: float | None,
         config: LogConfig,
+        own_body: OwnBody | None = None,
         *,
         planar: bool = False,
     ) -> None:
+        self.own_body = OwnBody() if own_body is None else own_body
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
@@ -293,12 +296,13 @@ class CloudFlattener:
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
         turn = np.arctan2(dy, dx) / math.tau + 0.5  # [0, 1] from -pi to pi
+        outside = distance >= _HOUSING_M
         if not self._settled:
-            self._choose_bearings(turn[distance > 0.0])
+            self._choose_bearings(turn[outside])
         beams = len(self._seen)
         bins = _bins(turn, beams, self._shift)
-        self._seen[bins[distance > 0.0]] = True
-        inside = (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
+        self._seen[bins[outside]] = True
+        inside = outside & (distance <= CLOUD_RANGE_MAX_M)
         if not self._planar:
             floor_m = self._floor if floor_m is None else floor_m
             if floor_m is None:
@@ -324,6 +328,7 @@ class CloudFlattener:
             ranges = np.roll(ranges, -first)[:count]
             times = None if times is None else np.roll(times, -first)[:count]
             bearings = bearings[first] + math.tau / beams * np.arange(count)
+        self.own_body.clear(ranges)
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,

@@ -122,6 +122,7 @@ class TransformTree:
 _TILT_MAX_RAD = 0.175  # a planar laser, or the floor of clouds, that is tilted more is warned of
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
+_OPTICAL = ("_optical", "_optical_frame")  # of cameras: z looks ahead, x to the right (REP 103)
 _STANDING = ("earth", "map", "world")  # no robot moves these, nor frames of odometry (REP 105)
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
@@ -216,6 +217,8 @@ def place_laser(
     base = joined or moving or next((b for b in bases if b in tree.frames), carrier)
     base_from_laser = tree.lookup(carrier, laser_frame)
     assert base_from_laser is not None, "the carrier is joined to the laser"
+    if carrier == laser_frame and laser_frame.endswith(_OPTICAL):
+        base_from_laser[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     floors = usual_frames((_FLOOR_FRAME,), laser_frame)
     heights = [tree.lookup(base, frame) for frame in floors if joined is not None]
     floor = next((float(one[2, 3]) for one in heights if one is not None), None)

@@ -301,7 +301,7 @@ class _SweepMaker:
         self.leveller = leveller
         has_height = selection.band_m is not None
         self.flattener = CloudFlattener(
-            *(selection.base_from_laser, selection.floor_m, config),
+            *(selection.base_from_laser, selection.floor_m, config, leveller.own_body),
             planar=not has_height,
         )
         self._is_level = selection.floor_m is not None or not has_height

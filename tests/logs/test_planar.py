@@ -203,7 +203,7 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
     clouds, band = [cloud, cloud[:50]], {"band_min_m": 0.5, "band_max_m": 1.0}
     one = flattener(0.25, cloud_beams=90, cloud_range_max_m=6.0, **band)
     for number, given_cloud in enumerate(clouds):
-        scan = one.flatten(given_cloud, 9)
+        scan = one.flatten(np.vstack([given_cloud, [[0.05, 0.0, 1.0]]]), 9)  # and of the lidar
         expected = brute_force(clouds[: number + 1], 90, np.array([0.75, 1.25]), 6.0)
         np.testing.assert_allclose(scan.ranges, expected[~np.isnan(expected)])
         assert scan.full_circle is full
@@ -405,6 +405,11 @@ def test_the_scans_of_a_log_are_without_it_and_a_warning_tells(flat_tour: Tour, 
     (told,) = [warning for warning in stream.warnings if "the robot itself: 6" in warning]
     assert np.isnan(sweeps[-1].planar.ranges[POST]).all()
     assert float(told.split()[5]) == pytest.approx(POST_M, abs=0.05)
+    flat = CloudFlattener(np.eye(4), None, LogConfig(), planar=True)
+    for (sweep, _), ranges in zip(flat_tour, scans(flat_tour, 6), strict=True):
+        b, r = sweep.planar.bearings, np.where(np.isfinite(ranges), ranges, 0.0)
+        flat.flatten(np.column_stack([r * np.cos(b), r * np.sin(b), 0.0 * r]), 0)
+    assert flat.own_body.notes
 
 
 SEEN = np.array([1.0, np.nan, 2.0, np.inf, 3.0])
