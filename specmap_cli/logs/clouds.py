@@ -130,6 +130,7 @@ _FLOOR_TILT_MAX_RAD = 0.785
 _FLOOR_SHARE = 0.1  # share of the returns within FLOOR_RADIUS_M that must show a floor
 _CELL_M = 0.4  # returns are thinned to it: floors near the lidar have thousands
 _STEP_RAD = math.radians(5.0)  # between the tilts tried: 0.2 m off at 5 m
+_BENEATH_SHARE = 0.05  # returns below a clear floor, of those on it: reflections, a stray one
 _LAYER_M = 0.2  # in which returns at one tilt are counted: what such a step displaces
 _LOWER_WEIGHT = 2.0  # of a return below a floor, against one on it
 _WIDTHS_M = (0.4, 0.2, 0.1, 0.05)  # returns this near a plane fix it anew, coarse to fine
@@ -141,12 +142,14 @@ class Level(NamedTuple):
     """A cloud's rotation (3, 3) into a level frame, and the floor's height there.
 
     The level frame looks where the lidar's x axis looks, and has its origin. `seen_m` is the mean
-    height of the floor's returns in the frame of the cloud.
+    height of the floor's returns in the frame of the cloud. The floor is `clear` if hardly a return
+    lies beneath it: rows of returns on walls pass for one, too, but have other rows below them.
     """
 
     rotation: FloatArray
     floor_m: float
     seen_m: float
+    clear: bool
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
@@ -172,11 +175,13 @@ def floor_of(cloud: FloatArray) -> Level | None:
             return None
         normal, height = plane
         rotation = _upright(product(normal[None], rotation)[0])
-    enough = np.count_nonzero(of_floor) >= _FLOOR_SHARE * len(near)
+    found = int(np.count_nonzero(of_floor))
+    beneath = int(np.count_nonzero(turned[:, 2] < height - 2.0 * width_m))
     upright = float(rotation[2, 2]) >= math.cos(_FLOOR_TILT_MAX_RAD)
-    if not (enough and upright and height < 0.0):
+    if not (found >= _FLOOR_SHARE * len(near) and upright and height < 0.0):
         return None
-    return Level(rotation, height, float(near[of_floor, 2].mean()))
+    clear = beneath <= _BENEATH_SHARE * found
+    return Level(rotation, height, float(near[of_floor, 2].mean()), clear)
 
 
 @cache

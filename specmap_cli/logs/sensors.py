@@ -341,7 +341,7 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
 def _floors(
     log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray
 ) -> Iterator[tuple[float, float]]:
-    """The angle against the base of the floor of each first cloud that shows it, and its height.
+    """The angle against the base of the floor of each first cloud that is clear, and its height.
 
     The height is that of the floor's returns: where the plane meets the base, it errs more.
     """
@@ -352,7 +352,7 @@ def _floors(
             if isinstance(record, CloudRecord) and sensor.made(record):
                 points = cloud_points(record, record.stamp_ns).points
                 level = floor_of(product(points, turn.T))
-                if level is not None:
+                if level is not None and level.clear:
                     tilt = math.acos(min(1.0, float(level.rotation[2, 2])))
                     yield tilt, level.seen_m + float(place[2])
 

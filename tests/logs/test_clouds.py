@@ -273,9 +273,11 @@ def test_a_tilted_lidar_is_levelled_not_turned(roll: float, pitch: float, yaw: f
 def test_returns_beneath_the_floor_do_not_hide_it() -> None:
     """A shiny floor mirrors the ceiling."""
     mirrored = room()[3000:6000][::40] * (1.0, 1.0, -1.0) - (0.0, 0.0, 2.4)
-    found = floor_of(np.concatenate([room(), mirrored]))
+    clean, found = floor_of(room()), floor_of(np.concatenate([room(), mirrored]))
+    assert clean is not None
     assert found is not None
     assert found.floor_m == pytest.approx(-1.2, abs=0.01)
+    assert (clean.clear, found.clear) == (True, False)
 
 
 def only(*keep: str) -> FloatArray:
