@@ -36,7 +36,7 @@ from specmap_cli.layout.path_graph import (
     tighten,
 )
 from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
-from specmap_cli.layout.relaxation import close, explained
+from specmap_cli.layout.relaxation import close, explained, measured
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.walls import Walls
 
@@ -73,18 +73,20 @@ def join_layouts(
     """The layout of a store that holds the keyframes of `old`, then those of `new`.
 
     Both are in one map frame, `new` numbered as in the store (see `placed`). `ties` are closures
-    between the two, `breaks` those of both, the first keyframe of `new` among them. Where nothing
+    between the two, measured anew by the walls around their ends, `breaks` those of both, the first keyframe of `new` among them. Where nothing
     ties the two in the end that keyframe is among `loose` of the result. Deterministic.
     """
     ends = {end for tie in ties for end in (tie.source, tie.target)}
     graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks)
     guessed = {int(graph.parts[graph.row[start]]) for start in (*old.loose, *new.loose)}
+    walls, views = Walls(store, graph), Views.of(store, graph)
+    # submaps of which little is seen in both maps match some decimetres off
+    precise = [near for tie in ties if (near := measured(graph, walls, tie)) is not None]
     begun = Draft(
         poses=np.concatenate([old.poses, new.poses])[graph.nodes],
-        loops=(*old.kept, *new.kept, *ties),
+        loops=(*old.kept, *new.kept, *(precise or ties)),
         tied=frozenset(graph.part_numbers) - guessed,
     )
-    walls, views = Walls(store, graph), Views.of(store, graph)
     first = graph.row[len(old.poses)]
     passes = tighten(graph, find_passes(graph, begun, walls, first))
     closed, judged = close(graph, passes, (), walls, first)

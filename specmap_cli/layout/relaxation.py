@@ -72,8 +72,8 @@ def relax(
     return replace(layout, why=explained(layout, judged))
 
 
-def measured(graph: Graph, walls: Walls, claim: Link) -> Link:
-    """A claim told more precisely, by the walls around its two keyframes where these fit.
+def measured(graph: Graph, walls: Walls, claim: Link) -> Link | None:
+    """A claim told more precisely, by the walls around its two keyframes; None unless these fit.
 
     Grids of whole submaps, and walls of many nodes, match to their cells, which lie otherwise in
     another frame; and a path that drifts within them bends them.
@@ -82,7 +82,7 @@ def measured(graph: Graph, walls: Walls, claim: Link) -> Link:
     guess = claim.source_from_target
     near = match_passes(graph, walls, graph.poses, rows, guess, CLOSURE_OFF_M, PLACE_NODES)
     if near is None or (guess.inverse() @ near.source_from_target).distance > CLOSURE_OFF_M:
-        return claim
+        return None
     return replace(claim, source_from_target=near.source_from_target)
 
 
@@ -95,7 +95,7 @@ def close(
     passes near each other, which are searched then.
     """
     claims = (*closures, *far_passes(graph, draft, walls, first))
-    judged = judge(graph, draft, [measured(graph, walls, claim) for claim in claims])
+    judged = judge(graph, draft, [measured(graph, walls, claim) or claim for claim in claims])
     believed = [one.link for one in judged if one.believed]
     if believed:
         draft = place_parts(graph, draft, believed).adding(believed)

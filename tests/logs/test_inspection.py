@@ -66,9 +66,7 @@ def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])  # fixed transforms need no time
-def test_one_message_without_a_time_does_not_hide_when_a_log_was_recorded(
-    path: Path, topic: str
-) -> None:
+def test_a_message_without_a_time_does_not_hide_when_a_log_began(path: Path, topic: str) -> None:
     with LogWriter(path) as log:
         log.raw(topic, TF_MESSAGE, b"", 0)
         for number in range(11):

@@ -264,10 +264,7 @@ def test_late_or_foreign_odometry_and_a_drive_without_turns_put_no_laser_elsewhe
     assert judged(travelled(base, poses=moved)).findings == ()
 
 
-@pytest.mark.parametrize(
-    ("end", "said"),
-    [(70, "stands there, in all for 61% of the way"), (90, "the robot stands still")],
-)
+@pytest.mark.parametrize(("end", "said"), [(70, "in all for 61% of"), (90, "stands still")])
 def test_wheels_that_stand_say_nothing_of_odometry_elsewhere(end: int, said: str) -> None:
     """A robot that is carried for most of a drive; one whose wheels hardly turn at all."""
     base = evidence()
