@@ -73,15 +73,19 @@ def join_layouts(
     """The layout of a store that holds the keyframes of `old`, then those of `new`.
 
     Both are in one map frame, `new` numbered as in the store (see `placed`). `ties` are closures
-    between the two, measured anew by the walls around their ends, `breaks` those of both, the first keyframe of `new` among them. Where nothing
-    ties the two in the end that keyframe is among `loose` of the result. Deterministic.
+    between the two: those count that walls around their ends measure anew, all if none does.
+    `breaks` are those of both, the first keyframe of `new` among them. Where nothing ties the two
+    in the end that keyframe is among `loose` of the result. Deterministic.
     """
     ends = {end for tie in ties for end in (tie.source, tie.target)}
     graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks)
     guessed = {int(graph.parts[graph.row[start]]) for start in (*old.loose, *new.loose)}
     walls, views = Walls(store, graph), Views.of(store, graph)
     # submaps of which little is seen in both maps match some decimetres off
-    precise = [near for tie in ties if (near := measured(graph, walls, tie)) is not None]
+    precise = list[Link]()
+    for tie in ties:
+        near = measured(graph, walls, tie)
+        precise += [] if near is None else [near]
     begun = Draft(
         poses=np.concatenate([old.poses, new.poses])[graph.nodes],
         loops=(*old.kept, *new.kept, *(precise or ties)),

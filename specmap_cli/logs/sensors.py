@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -325,11 +325,12 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
         f"the angles of the first scan on {topic.name} span {span_rad:,.0f} radians, more than a "
         "turn: are they in degrees? They must be in radians"
     )
-    floors = list(_floors(log, topic, sensor, base_from_laser) if has_height else ())
+    unknown = None, None
+    tilt_rad, floor_m = _floor(log, topic, sensor, base_from_laser) if has_height else unknown
     return Glance(
         has_height=sensor.is_cloud and (has_height or points < _FLAT_POINTS),
-        tilt_rad=min((tilt for tilt, _ in floors), default=None),
-        floor_m=min((height for _, height in floors), key=abs, default=None),
+        tilt_rad=tilt_rad,
+        floor_m=floor_m,
         ceilings_m=leveller.ceiling.values_m,
         warnings=(
             *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),
@@ -338,13 +339,15 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
     )
 
 
-def _floors(
+def _floor(
     log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray
-) -> Iterator[tuple[float, float]]:
-    """The angle against the base of the floor of each first cloud that is clear, and its height.
+) -> tuple[float | None, float | None]:
+    """The angle of a clear floor in the first clouds against the base, and its height there.
 
-    The height is that of the floor's returns: where the plane meets the base, it errs more.
+    The least of each that a cloud shows, None where none does. The height is that of the floor's
+    returns: where the plane meets the base, it errs more.
     """
+    tilts, heights = list[float](), list[float]()
     turn, place = base_from_laser[:3, :3], base_from_laser[:3, 3]
     for message in islice(log.messages([topic.name]), _FLOOR_CLOUDS):
         with suppress(BadMessageError):
@@ -353,8 +356,9 @@ def _floors(
                 points = cloud_points(record, record.stamp_ns).points
                 level = floor_of(product(points, turn.T))
                 if level is not None and level.clear:
-                    tilt = math.acos(min(1.0, float(level.rotation[2, 2])))
-                    yield tilt, level.seen_m + float(place[2])
+                    tilts.append(math.acos(min(1.0, float(level.rotation[2, 2]))))
+                    heights.append(level.seen_m + float(place[2]))
+    return min(tilts, default=None), min(heights, key=abs, default=None)
 
 
 def _middle_m(record: ScanRecord | CloudRecord) -> float:

@@ -40,6 +40,7 @@ from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
 
 SCAN_TOPIC, TF = "/scan", "/tf"
+_HEADING_DECIMALS = 12  # of a mounting: its quaternion does not keep the last bits
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, LASER_FRAME = "map", "odom", "base_link", "laser"
 # Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
 # bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
@@ -64,7 +65,9 @@ def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None
             if base_from_laser not in lasers:
                 frame = f"{LASER_FRAME}_{len(lasers) + 1}" if lasers else LASER_FRAME
                 lasers[base_from_laser] = frame, EvenSpacing()
-                mounting = Transform(BASE_FRAME, frame, *in_space(_mounting(base_from_laser)))
+                x, y, theta = base_from_laser
+                pose = in_space((x, y, round(theta, _HEADING_DECIMALS)))
+                mounting = Transform(BASE_FRAME, frame, *pose)
                 start_ns = stamps[0]
                 log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
         time_ns = -1
@@ -96,11 +99,6 @@ def _in_space(poses: FloatArray) -> Iterator[tuple[list[float], list[float]]]:
     for pose in poses:
         place, turn = in_space(Pose2(*pose.tolist()))
         yield list(place), np.array(turn, dtype=np.float32).tolist()
-
-
-def _mounting(pose: Pose2) -> Pose2:
-    """A mounting without the last bits of its angle, which its quaternion does not keep."""
-    return Pose2(pose.x, pose.y, round(pose.theta, 12))
 
 
 def read_keyframes(
@@ -164,7 +162,8 @@ def _posed(messages: Iterable[Message], wanted: Collection[int] | None) -> Itera
             continue
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message)[0]:
-                lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
+                x, y, theta = Pose2.from_matrix(each.parent_from_child)
+                lasers[each.child] = Pose2(x, y, round(theta, _HEADING_DECIMALS))
             continue
         number += 1
         if wanted is not None and number not in wanted:

@@ -111,11 +111,14 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     turned = np.nancumsum(step_lengths(odometry))
     times = (turned[ends - 1] - turned[starts]) / ODOMETRY_WINDOW_M
     driven = times > ODOMETRY_SHARE
+    gone_m, driven_m = (np.hypot(*motions[:, :2].T) for motions in (by_map, by_odometry))
+    straight = gone_m > 0.5 * ODOMETRY_WINDOW_M
+    ratios = driven_m / np.where(straight, gone_m, np.inf)
     usual = float(np.median(apart[driven] if driven.mean() > ODOMETRY_SHARE else apart))
     worst = int(apart.argmax())
     everywhere = usual > ODOMETRY_SHARE
     if not everywhere:
-        yield from _scaled(by_map[driven], by_odometry[driven])
+        yield from _scaled(ratios[straight & driven])
     share = usual if everywhere else float(apart[worst])
     limit = ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE
     if share <= limit:
@@ -125,8 +128,7 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     stands = times < _STANDS
     advice = ""
     if everywhere:
-        ratios = _ratios(by_map, by_odometry)
-        advice = _unlike(float(np.median(ratios if len(ratios) else times)))
+        advice = _unlike(float(np.median(ratios[straight] if straight.any() else times)))
     elif stands[worst]:
         advice = (
             f"by odometry the robot stands there, in all for {stands.mean():.0%} of the way: if "
@@ -153,16 +155,11 @@ def _unlike(times: float) -> str:
     return f"odometry goes {as_far}: is it in metres, of these wheels and this gear?"
 
 
-def _ratios(by_map: FloatArray, by_odometry: FloatArray) -> FloatArray:
-    """How many times as far as by the map each straight piece of motions (n, 3) is by odometry."""
-    gone_m, driven_m = (np.hypot(motions[:, 0], motions[:, 1]) for motions in (by_map, by_odometry))
-    straight = gone_m > 0.5 * ODOMETRY_WINDOW_M
-    return np.asarray(driven_m[straight] / gone_m[straight])
+def _scaled(ratios: FloatArray) -> Iterator[Finding]:
+    """Odometry that goes farther than the map, or less far, by one of these ratios (n,) all along.
 
-
-def _scaled(by_map: FloatArray, by_odometry: FloatArray) -> Iterator[Finding]:
-    """Odometry that goes farther than the map, or less far, by one ratio on all pieces (n, 3)."""
-    ratios = _ratios(by_map, by_odometry)
+    They are those of straight pieces of the way.
+    """
     if len(ratios) < _FEWEST:
         return
     low, times, high = np.percentile(ratios, (25, 50, 75)).tolist()
