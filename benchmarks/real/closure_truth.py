@@ -142,7 +142,7 @@ def _measured(explored: Explored, store: KeyframeStore) -> tuple[Graph, Walls, l
     graph = graph_of(store, (), explored.breaks)
     rough = constraints_of(explored.closures, explored.regions, store, graph.nodes)
     walls = Walls(store, graph)
-    return graph, walls, [measured(graph, walls, link) for link in rough.values()]
+    return graph, walls, [measured(graph, walls, link) or link for link in rough.values()]
 
 
 def _repeats(graph: Graph, walls: Walls, constraints: Iterable[Link]) -> FloatArray:
