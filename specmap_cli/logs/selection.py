@@ -217,7 +217,7 @@ def place_laser(
     base = joined or moving or next((b for b in bases if b in tree.frames), carrier)
     base_from_laser = tree.lookup(carrier, laser_frame)
     assert base_from_laser is not None, "the carrier is joined to the laser"
-    if carrier == laser_frame and laser_frame.endswith(_OPTICAL):
+    if not planar and carrier == laser_frame and laser_frame.endswith(_OPTICAL):
         base_from_laser[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     floors = usual_frames((_FLOOR_FRAME,), laser_frame)
     heights = [tree.lookup(base, frame) for frame in floors if joined is not None]

@@ -326,7 +326,7 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
         "turn: are they in degrees? They must be in radians"
     )
     unknown = None, None
-    tilt_rad, floor_m = _floor(log, topic, sensor, base_from_laser) if has_height else unknown
+    tilt_rad, floor_m = _clear_floor(log, topic, sensor, base_from_laser) if has_height else unknown
     return Glance(
         has_height=sensor.is_cloud and (has_height or points < _FLAT_POINTS),
         tilt_rad=tilt_rad,
@@ -339,7 +339,7 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
     )
 
 
-def _floor(
+def _clear_floor(
     log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: FloatArray
 ) -> tuple[float | None, float | None]:
     """The angle of a clear floor in the first clouds against the base, and its height there.

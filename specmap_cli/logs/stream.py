@@ -365,7 +365,7 @@ class _SweepMaker:
         self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser, floor_m = self.selection.base_from_laser, None
         turn, place = base_from_laser[:3, :3], base_from_laser[:3, 3]
-        if not self._is_level:  # the log does not say how it lies: by the floor in the cloud
+        if not self._is_level:  # the log says wrongly how it lies, or not: the floor tells
             self._level = floor_of(product(points, turn.T)) or self._level
         if self._level is not None:
             turn = product(self._level.rotation, turn)

@@ -36,8 +36,8 @@ def write(path: Path, scans: list[str], odometry: list[str]) -> None:
             log.odometry(topic, "odom", "base_link", START, Pose2(0.0, 0.0, 0.0))
 
 
-def write_scan(log: LogWriter, stamp_ns: int = START) -> None:
-    log.scan("/scan", "laser", stamp_ns, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+def write_scan(log: LogWriter, stamp_ns: int = START, frame: str = "laser") -> None:
+    log.scan("/scan", frame, stamp_ns, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
 
 
 def choose(path: Path, **options: object) -> Selection:
@@ -184,7 +184,7 @@ def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
             log.static_transform(parent, child, (0.0, 0.0, float(z)), stamp_ns=START)
         if moves:
             log.odometry("/odom", "odom", moves, START, Pose2(0.0, 0.0, 0.0))
-        write_scan(log)
+        write_scan(log, frame="laser" if transforms or not moves else "of_optical_frame")
     chosen = choose(path)
     assert chosen.base_frame == base
     assert chosen.floor_m == pytest.approx(floor)
