@@ -166,18 +166,13 @@ def search_everywhere(
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
-
-    Without a covariance they may be anywhere, at any angle.
-    """
+    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field."""
 
     pose: Pose2
-    covariance: FloatArray | None = None
+    covariance: FloatArray
 
     def angles(self, step_rad: float) -> FloatArray:
         """(A,) headings within three sigmas, `step_rad` apart."""
-        if self.covariance is None:
-            return np.arange(0.0, 2 * np.pi, step_rad)
         reach = min(np.pi, PRIOR_SIGMAS * float(np.sqrt(self.covariance[2, 2])))
         count = math.ceil(reach / step_rad)
         steps = step_rad * np.arange(-count, count + 1)
@@ -189,12 +184,10 @@ def answers(
 ) -> list[Match]:
     """The best poses of points (N, 2) on a field that differ, best first, at most `_ANSWERS`.
 
-    Of those within three sigmas of the prior, or anywhere, on the field pooled to cells of about
-    `step_m`: as for `search_everywhere`, scores are upper bounds.
+    Of those within three sigmas of the prior, on the field pooled to cells of about `step_m`: as
+    for `search_everywhere`, scores are upper bounds.
     """
     angles = prior.angles(step_rad)
-    if prior.covariance is None:
-        return search_everywhere(field, points, _ANSWERS, step_m, angles.tolist())
     cells = max(1, round(step_m / field.resolution))
     coarse, coarser = field.coarser(cells), field.coarser(2 * cells)
     reach = PRIOR_SIGMAS**2 * prior.covariance[:2, :2] + step_m**2 * np.eye(2)

@@ -15,12 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.records import IntArray
 from specmap_cli.core.shortcuts import Shortcuts
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
@@ -53,7 +52,6 @@ _NEWS = 1 / 3  # share of the least search by which a link must miss the draft t
 
 _WIDE_EVERY_M = 2.5  # path between searches as far as its error reaches
 _WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
-_LOST_TRIES, _LOST_EVERY = 12, 2  # searches for a part; nodes that show nearly the same
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
 
 
@@ -247,47 +245,34 @@ def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
 def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tuple[Link, ...]:
     """Where walls are found, every `_WIDE_EVERY_M` from row `first` on, as far as the path's error.
 
-    Where nothing but a guess ties the path, anywhere; where passes tie it well, nowhere.
+    Where passes tie the path well, that is nowhere. Nor is it where a guess alone does: a few views
+    fit in many places, and whole parts are laid where they fit (`pipelines/pieces.py`).
     """
     newer = [max(graph.row[link.source], graph.row[link.target]) for link in draft.loops]
     ties, spread = np.unique(np.array([0, *newer])), path_error(graph, draft.poses)
     links: list[Link] = []
-
-    @lru_cache(1)  # parts are asked for in their order
-    def before(part: int) -> tuple[IntArray, Surroundings]:
-        old = np.flatnonzero(graph.parts < part)[::_LOST_EVERY]
-        return old, Surroundings.of(walls.of_all(old.tolist(), draft.poses))
-
     for row in rows_every(graph.path, _WIDE_EVERY_M):
-        part, pose = int(graph.parts[row]), Pose2(*draft.poses[row].tolist())
-        if row < first:
+        last = int(ties[np.searchsorted(ties, row, side="right") - 1])
+        part = int(graph.parts[row])
+        if row < first or part not in draft.tied or graph.parts[last] != part:
             continue
-        if part not in draft.tied:
-            start = float(graph.path[np.argmax(graph.parts == part)])
-            if graph.path[row] - start > _LOST_TRIES * _WIDE_EVERY_M:
-                continue
-            prior, (old, around) = Prior(pose), before(part)
-        else:
-            last = int(ties[np.searchsorted(ties, row, side="right") - 1])
-            if graph.parts[last] != part:
-                continue
-            error = _in_map(spread, last, row)
-            longest = float(np.sqrt(np.linalg.eigvalsh(error[:2, :2])[-1]))
-            if PRIOR_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
-                continue
-            error[:2, :2] *= min(1.0, _WIDE_SEARCH_MAX_M / (PRIOR_SIGMAS * longest)) ** 2
-            reach = PRIOR_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
-            # among walls that the path cannot have drifted from, a view is found where it is
-            drifted = spread.between(np.arange(row), np.full(row, row))[:, :2, :2]
-            drifted_m = PRIOR_SIGMAS * np.sqrt(np.linalg.eigvalsh(drifted)[:, -1])
-            old = np.flatnonzero(drifted_m > LOOP_SEARCH_MAX_M)
-            old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
-            prior, old = Prior(pose, error), old[:: max(1, -(-len(old) // _MOST_ROWS))]
-            around = Surroundings.of(walls.of_all(old.tolist(), draft.poses))
+        error = _in_map(spread, last, row)
+        longest = float(np.sqrt(np.linalg.eigvalsh(error[:2, :2])[-1]))
+        if PRIOR_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
+            continue
+        error[:2, :2] *= min(1.0, _WIDE_SEARCH_MAX_M / (PRIOR_SIGMAS * longest)) ** 2
+        reach = PRIOR_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
+        # among walls that the path cannot have drifted from, a view is found where it is
+        drifted = spread.between(np.arange(row), np.full(row, row))[:, :2, :2]
+        drifted_m = PRIOR_SIGMAS * np.sqrt(np.linalg.eigvalsh(drifted)[:, -1])
+        old = np.flatnonzero(drifted_m > LOOP_SEARCH_MAX_M)
+        old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
+        old = old[:: max(1, -(-len(old) // _MOST_ROWS))]
         if len(old):
+            around = Surroundings.of(walls.of_all(old.tolist(), draft.poses))
             seen = partial(walls.seen_of_all, old.tolist(), draft.poses)
             view = walls.around(row, PLACE_NODES, draft.poses).points
-            fit = around.find(view, seen, prior)
+            fit = around.find(view, seen, Prior(Pose2(*draft.poses[row].tolist()), error))
             links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
     return tuple(links)
 

@@ -7,6 +7,7 @@ value, leaves the recorder's times; where these say nothing either, the order of
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
@@ -33,9 +34,10 @@ _ORDER_SPEED_MPS = 0.5
 _LATE_S = 0.5  # odometry stamped this far from scans recorded beside it is told of
 _PERIODS = 1.5  # of odometry, in which the next message comes: it may be half of one late
 _CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it has another clock
-_DISORDER_S = 1.0  # a scan that comes so late is not out of order: the clock was set back
+_DISORDER_S = 2.0  # stamped and recorded so much too late it is none: the clock was set back
+_RECENT = 100  # scans that one out of order may belong before
 _MOST_SET_BACK = 2  # steps back of a clock that is set; more of them are scans out of order
-_LATER = 1.5  # the first scans do not show how late one can come: it may be half as much again
+_LATER = 1.5  # no scans show how late others can come: it may be half as much again
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
 _LONGEST_S = 60.0  # between scans stamped by order: a longer step is no driving
@@ -82,6 +84,37 @@ class Clock:
         return stamp_ns + self.odometry_shift_ns
 
 
+class Disorder:
+    """How late scans come, as far as a log has shown: `wait_ns` after one, by the recorder's times.
+
+    One stamped before it may come so long. A clock that is set back is no disorder: of few steps
+    back in time nothing is thought.
+    """
+
+    def __init__(self, wait_ns: int = 0) -> None:
+        self.wait_ns = wait_ns
+        self._recent: deque[tuple[int, int]] = deque(maxlen=_RECENT)
+        self._ahead_ns = self._late_ns = self._steps_back = 0
+
+    def take(self, stamp_ns: int, time_ns: int) -> None:
+        """The next scan, with its stamp and the recorder's time."""
+        if stamp_ns < self._ahead_ns:
+            self._steps_back += 1
+            most_ns = nanoseconds(_DISORDER_S)
+            late = (
+                time_ns - time
+                for stamp, time in self._recent
+                if stamp_ns < stamp
+                and time < time_ns
+                and stamp - stamp_ns + time_ns - time < most_ns
+            )
+            self._late_ns = max(self._late_ns, *late, 0)
+            if self._steps_back > _MOST_SET_BACK:
+                self.wait_ns = max(self.wait_ns, round(_LATER * self._late_ns))
+        self._ahead_ns = stamp_ns
+        self._recent.append((stamp_ns, time_ns))
+
+
 @dataclass(frozen=True, slots=True)
 class StampPair:
     """Odometry and the scan recorded next: header stamp and recorder's time of each, ns.
@@ -116,9 +149,10 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
-    set_back = sum(after < before for before, after in pairwise(stamps)) <= _MOST_SET_BACK
-    wait_ns = 0 if set_back else _scan_wait_ns(scans)
-    header = Clock(zero_is_unset=2 * sum(near) > len(near), scan_wait_ns=wait_ns)
+    disorder = Disorder()
+    for stamp, time in scans:
+        disorder.take(stamp, time)
+    header = Clock(zero_is_unset=2 * sum(near) > len(near), scan_wait_ns=disorder.wait_ns)
     # a message counts once, with the first scan after it: in a burst many scans follow one message
     told = list({pair.odometry: pair for pair in reversed(pairs) if pair.odometry[0] != 0}.values())
     if not told:
@@ -145,18 +179,6 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         odometry_wait_ns=round(_PERIODS * period) + max(0, late),
         odometry_apart_ns=late if abs(late) > nanoseconds(_LATE_S) else 0,
     )
-
-
-def _scan_wait_ns(scans: Sequence[tuple[int, int]]) -> int:
-    """How long after a scan one stamped before it may still come, by the recorder's times."""
-    late = [
-        after[1] - before[1]
-        for number, after in enumerate(scans)
-        for before in scans[:number]
-        if after[0] < before[0] and before[1] < after[1]
-        if before[0] - after[0] + after[1] - before[1] < nanoseconds(_DISORDER_S)
-    ]
-    return round(_LATER * max(late, default=0))
 
 
 def _ascends(stamps: Sequence[int]) -> bool:

@@ -1,7 +1,7 @@
 """The stream of sweeps that registration reads: one scan in memory at a time.
 
 Each has the odometry at its stamp, from a topic or from transforms. A scan waits for the odometry
-that follows its stamp, but never longer than a few scans; where scans are recorded out of order,
+that follows its stamp, but never longer than a few scans; once scans were recorded out of order,
 for those stamped before it, too.
 """
 
@@ -21,6 +21,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
+from specmap_cli.logs.clocks import Disorder
 from specmap_cli.logs.clouds import CloudFlattener, Level, PointClock, cloud_points, floor_of
 from specmap_cli.logs.messages import (
     BadMessageError,
@@ -248,12 +249,13 @@ class SweepStream:
         sweeps = _SweepMaker(chosen, self.config, counts, leveller)
         waiting: deque[_Waiting] = deque()
         expected_ns = min(chosen.clock.odometry_wait_ns, nanoseconds(_ODOMETRY_GAP_S))
-        wait_ns = chosen.clock.scan_wait_ns
+        disorder = Disorder(chosen.clock.scan_wait_ns)
         for message in self.log.messages([chosen.topic.name, *chosen.odom_topics]):
             if message.topic == chosen.topic.name:
                 for scan in sweeps.decoded(message, odometry):
-                    place = len(waiting)
-                    while place and 0 < waiting[place - 1].stamp_ns - scan.stamp_ns <= wait_ns:
+                    disorder.take(scan.stamp_ns, scan.time_ns)
+                    place, most_ns = len(waiting), disorder.wait_ns
+                    while place and 0 < waiting[place - 1].stamp_ns - scan.stamp_ns <= most_ns:
                         place -= 1
                     waiting.insert(place, scan)
             else:
@@ -269,7 +271,7 @@ class SweepStream:
                 many = len(waiting) > _ODOMETRY_WAIT_SCANS
                 late = many or waited_ns > nanoseconds(_ODOMETRY_WAIT_S)
                 late &= waited_ns > expected_ns or len(waiting) > _MOST_WAITING
-                early = 0 <= waited_ns < wait_ns and len(waiting) <= _MOST_WAITING
+                early = 0 <= waited_ns < disorder.wait_ns and len(waiting) <= _MOST_WAITING
                 if early or not (chosen.odometry is None or heard or late):
                     break
                 yield from sweeps.made(waiting.popleft(), odometry.poses)

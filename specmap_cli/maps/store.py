@@ -59,6 +59,11 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 _NOTHING = np.zeros(0, dtype=np.int64)
+_PUT_BACK = "put that one back, or build the map again"
+_BUILD_ONE = (
+    "`specmap segment` makes maps without; here one is needed that `specmap build` made of a "
+    "recording"
+)
 _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING)
 
 
@@ -191,7 +196,7 @@ class Map:
     @property
     def of_recording(self) -> bool:
         """Whether it was made of a recording; one of a finished grid has no keyframes."""
-        return (self.path / filenames.LABELS).exists()
+        return self._has(filenames.LABELS)
 
     @property
     def keyframes(self) -> Labels:
@@ -286,7 +291,7 @@ class Map:
         if not of_grid.exists():
             divided = divide(self.map_grid, self.labels, fences_of(self.record.graph.edits.borders))
             return divided.grid, divided.owner
-        if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
+        if not self._has(f"{filenames.MAP_GRID}.yaml"):
             return composed(self)  # an earlier version divided it
         owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int32) - 1
         known = set(np.unique(owner).tolist()) <= {NOBODY, *self.ids}
@@ -320,14 +325,7 @@ class Map:
         """The scans of all keyframes, or of some `numbers` (n,), in order: close it after use."""
         from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
 
-        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns
-        if not path.exists():
-            raise MapError(
-                f"has no {path.name}",
-                "only maps that this version of `specmap build` made of a recording keep their "
-                "scans: build the map again",
-                where=self.path,
-            )
+        stamps_ns, path = self.labels.stamps_ns, self._of_recording(filenames.KEYFRAMES)
         store = read_keyframes(path, len(stamps_ns), self.limits, numbers)
         try:
             some = slice(None) if numbers is None else numbers
@@ -371,16 +369,16 @@ class Map:
             raise _foreign(self.path / filenames.RUN)
         return run
 
+    def _has(self, name: str) -> bool:
+        """Whether a file of that name is there, or was when the map was written."""
+        return name in self.record.graph.files or (self.path / name).exists()
+
     def _of_recording(self, name: str) -> Path:
         """The file of that name, which every map of a recording has; MapError where it is not."""
         path = self.path / name
         if not path.exists():
-            raise MapError(
-                f"has no {name}",
-                "`specmap segment` makes maps without; here one is needed that `specmap build` "
-                "made of a recording",
-                where=self.path,
-            )
+            advice = _PUT_BACK if self.of_recording else _BUILD_ONE
+            raise MapError(f"has no {name}", advice, where=self.path)
         return path
 
     @property
@@ -425,7 +423,7 @@ def _stamp_of(path: Path) -> tuple[int, ...]:
 
 def _foreign(path: Path) -> MapError:
     what = f"is not the file that {filenames.TOPOLOGY} was written with"
-    return MapError(what, "put that one back, or build the map again", where=path)
+    return MapError(what, _PUT_BACK, where=path)
 
 
 def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:

@@ -155,7 +155,10 @@ def _dated(
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A submap of the map `map_` in which the room was seen first."""
+    """A submap of the map `map_` in which the room was seen first.
+
+    Its number is the submap's id, unless another room of the building has that.
+    """
 
     number: int
     map_: int
@@ -273,22 +276,24 @@ class _Building:
         for node in entry.stored.record.nodes:
             own = submaps == node.id
             if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
-                self.rooms.append(Room(len(self.rooms), entry.number, node))
+                taken = {room.number for room in self.rooms}
+                number = 1 + max(taken) if node.id in taken else node.id
+                self.rooms.append(Room(number, entry.number, node))
         added = tuple(self.rooms[known:])
         new = {room.node.id: room.number for room in added}
         rooms = np.where(rooms == NO_SUBMAP, _looked_up(submaps, new), rooms)
-        room_of = {}
+        room_of, most = dict[int, int](), dict[int, tuple[int, int]]()
         for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
-            inside = rooms[(submaps == id_) & (rooms != NO_SUBMAP)]
+            inside = np.bincount(rooms[(submaps == id_) & (rooms != NO_SUBMAP)])
             if len(inside):
-                room_of[id_] = int(np.bincount(inside).argmax())
+                room_of[id_] = room = int(inside.argmax())
+                most[room] = max(most.get(room, (0, id_)), (int(inside[room]), id_))
         entry = replace(entry, room_of=room_of, added=added)
         if added:
             self._plans.append(entry)
         self._count_tours(entry.stored, rooms)
-        for id_, name in entry.stored.names.items():
-            if id_ in entry.room_of:
-                self._names[entry.room_of[id_]] = name
+        names = entry.stored.names
+        self._names.update((room, names[id_]) for room, (_, id_) in most.items() if id_ in names)
         start_ns, end_ns = span_ns(entry.stored)
         self._maps.append(
             MapRecord(

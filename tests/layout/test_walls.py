@@ -187,7 +187,7 @@ def test_what_is_free_lies_where_the_poses_put_it(graph: Graph, walls: Walls) ->
 
 
 Pass = tuple[FloatArray, FloatArray, Pose2]
-ANYWHERE = Prior(Pose2(0.0, 0.0, 0.0))
+ANYWHERE = Prior(Pose2(0.0, 0.0, 0.0), np.diag([3.0, 3.0, 2.0]) ** 2)
 
 
 def pass_of(graph: Graph, walls: Walls, row: int) -> Pass:
@@ -402,7 +402,8 @@ def test_a_place_is_found_at_any_angle(graph: Graph, walls: Walls, turn: float) 
     row = int(np.argmax(graph.parts == 1)) + 20
     source = walls.around(row, 8, graph.poses).points
     truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
-    fit = Surroundings.of(older).find(turned.inverse().apply(source), everywhere, ANYWHERE)
+    somewhere = Prior(Pose2(truth.x, truth.y, 0.0) @ turned, np.diag([1.0, 1.0, 2.0]) ** 2)
+    fit = Surroundings.of(older).find(turned.inverse().apply(source), everywhere, somewhere)
     assert fit is not None
     assert np.less(missed(truth, fit.target_from_source @ turned.inverse()), (0.1, 0.03)).all()
 

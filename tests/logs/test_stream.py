@@ -98,15 +98,15 @@ def test_slow_and_late_odometry_measures_every_scan(every: int, late_s: float, s
     [
         (0.3, 3, True, True),
         (0.3, 3, False, True),
-        (0.9, 3, True, True),
-        (1.1, 3, True, False),
+        (1.9, 3, True, True),
+        (2.1, 3, True, False),
         (0.3, 40, True, False),
     ],
 )
 def test_scans_recorded_out_of_order_are_sorted_by_their_stamps(
     late_s: float, every: int, with_odometry: bool, sorted_: bool
 ) -> None:
-    """Each third one comes late; by a second or more, or once or twice, the clock was set back."""
+    """Each third one is late; by two seconds or more, or once or twice, the clock was set back."""
     messages = []
     for number in range(60):
         stamp = START + number * SECOND // 10
@@ -121,6 +121,17 @@ def test_scans_recorded_out_of_order_are_sorted_by_their_stamps(
     for sweep in sweeps if with_odometry else []:
         assert sweep.odom_from_base is not None
         assert sweep.odom_from_base.x == pytest.approx((sweep.stamp_ns - START) / SECOND)
+
+
+def test_scans_that_come_out_of_order_after_minutes_are_sorted_from_the_third_on() -> None:
+    stamps = [START + number * SECOND // 10 for number in range(400)]
+    times = [stamp + (k > 200 and k % 9 == 0) * SECOND // 2 for k, stamp in enumerate(stamps)]
+    messages = [scan(stamp, time=time) for stamp, time in zip(stamps, times, strict=True)]
+    stream = stream_of(sorted(messages, key=lambda message: message.time_ns))
+    found = [sweep.stamp_ns for sweep in stream]
+    assert sorted(found) == stamps
+    assert stream.counts["backward_stamps"] == 3
+    assert found[240:] == stamps[240:]
 
 
 @pytest.mark.parametrize("range_max", [12_000.0, 12.0])

@@ -283,14 +283,20 @@ def test_labels_of_another_map(stored: Path) -> None:
         _ = read_map(stored).labels
 
 
-def test_a_map_of_a_plan_says_what_it_lacks(stored: Path) -> None:
-    (stored / "classifiers.json").unlink()
-    with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment`") as caught:
-        _ = read_map(stored).classifiers
-    assert caught.value.found == "has no classifiers.json"
-    (stored / "classifiers.json").mkdir()
-    with pytest.raises(MapError, match=r"classifiers\.json: cannot be read: Is a directory"):
-        _ = read_map(stored).classifiers
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("classifiers.json", "classifiers"),
+        ("run.json", "run"),
+        ("map.yaml", "regions"),
+        ("labels.csv", "keyframes"),
+    ],
+)
+def test_a_map_of_a_recording_says_what_it_lacks(stored: Path, name: str, read: str) -> None:
+    (stored / name).unlink()
+    with pytest.raises(MapError, match=f"has no {name}: put that one back") as caught:
+        getattr(read_map(stored), read)
+    assert caught.value.found == f"has no {name}"
 
 
 @pytest.mark.parametrize(

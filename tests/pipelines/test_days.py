@@ -96,8 +96,8 @@ def test_a_map_that_cannot_be_read_is_left_out_and_told(
 
 
 def test_without_a_map_or_its_visits_there_is_no_history(house: Path) -> None:
-    (house / "labels.csv").unlink()  # as in a divided plan
-    with pytest.raises(MapError, match="visits"):
+    (house / "labels.csv").unlink()
+    with pytest.raises(MapError, match=r"has no labels\.csv: put that one back"):
         history_of([house])
     (house / "topology.json").unlink()
     with pytest.raises(MapError, match=re.escape(str(house))):
