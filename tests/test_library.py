@@ -222,6 +222,9 @@ def test_wrong_types_are_refused_before_the_work(
     [
         ({"ranges": [1.0]}, "a scan of 1 ranges at 360 angles: expected as many of both"),
         ({"angles": list(range(360))}, "angles over 57 turns: expected radians"),
+        ({"ranges": "ab"}, "a scan whose stamp, ranges or angles are not numbers: expected whole"),
+        ({"stamp_ns": 1 << 63}, "a scan stamped 9223372036854775808 ns: expected nanoseconds"),
+        ({"range_max": -1.0}, "a scan of a laser from 0 to -1 m: expected a range_min that is no"),
         ({"laser": (0.1, 0.0)}, "laser is (0.1, 0.0): expected x, y and theta"),
         ({"odometry": (0.0, 0.0, math.nan)}, "odometry is (0.0, 0.0, nan): expected x, y"),
     ],
@@ -230,8 +233,10 @@ def test_a_scan_that_cannot_be_is_refused(flat_map: Map, wrong: dict[str, Any], 
     circle = {"ranges": [2.0] * 360, "angles": np.radians(np.arange(360)).tolist()}
     localizer = specmap_cli.Localizer(flat_map)
     with pytest.raises(specmap_cli.SpecmapError, match=f"^{re.escape(told)}"):
-        localizer.add(specmap_cli.Scan(1, **{**circle, **wrong}))
+        localizer.add(specmap_cli.Scan(**{"stamp_ns": 1, **circle, **wrong}))
     localizer.add(specmap_cli.Scan(2, **circle))  # the next one is welcome
+    with pytest.raises(specmap_cli.SpecmapError, match="stamped 1 ns before the one ahead of it"):
+        localizer.add(specmap_cli.Scan(1, **circle))
 
 
 @pytest.mark.parametrize("value", ["a/b", Path("a/b")])

@@ -99,8 +99,10 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
 def decode_odometry(message: Message) -> TransformRecord:
     """The pose in an Odometry message; raises BadMessageError."""
     decoded = _decoded(message, encoding.ODOMETRY)
-    pose = decoded.pose.pose
-    matrix = _matrix(pose.position, pose.orientation)
+    pose, turn = decoded.pose.pose, decoded.pose.pose.orientation
+    if not (turn.x or turn.y or turn.z or turn.w):
+        raise BadMessageError("odometry without an orientation: its quaternion is zero")
+    matrix = _matrix(pose.position, turn)
     if matrix is None:
         raise BadMessageError("odometry is not finite or beyond all bounds")
     header = decoded.header

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import combinations, islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -108,6 +108,10 @@ class View(NamedTuple):
         off = max(abs(self.low - other.low), abs(self.high - other.high))
         return off <= _SENSOR_ANGLE_RAD
 
+    def shared_with(self, other: View) -> float:
+        """How much of both is the same, radians; negative where they lie apart."""
+        return min(self.high, other.high) - max(self.low, other.low)
+
 
 class FirstScan(NamedTuple):
     """What is kept of a scan at the beginning of a log: times, frame, layout (None: a cloud)."""
@@ -182,16 +186,7 @@ def sensors_of(scans: Iterable[FirstScan]) -> list[ScanSensor]:
 
 def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
     """The fields of view that overlap and take turns in one frame, and how often each is met."""
-    views: list[View] = []
-    turns: list[int] = []  # the number of the view of each scan
-    for layout in layouts:
-        view = view_of(layout)
-        if view is None:
-            continue
-        number = next((n for n, other in enumerate(views) if other.near(view)), len(views))
-        if number == len(views):
-            views.append(view)
-        turns.append(number)
+    views, turns = _views(layouts)
     counts = Counter(turns)
     least = max(_BY_TURNS, _SENSOR_SHARE * len(layouts))
     often = [n for n in range(len(views)) if counts[n] >= least]
@@ -199,7 +194,7 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
     for number in often:
         view = views[number]
         for other in often:
-            shared = min(view.high, views[other].high) - max(view.low, views[other].low)
+            shared = view.shared_with(views[other])
             both = [turn for turn in turns if turn in (number, other)]
             changes = sum(a != b for a, b in pairwise(both))
             by_turns = 2 * changes >= min(counts[number], counts[other])
@@ -207,6 +202,33 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
                 found.append((view, counts[number]))
                 break
     return found
+
+
+def _views(layouts: Iterable[ScanLayout]) -> tuple[list[View], list[int]]:
+    """The fields of view of scans that differ, and the number of that of each scan that has one."""
+    views: list[View] = []
+    turns: list[int] = []
+    for view in filter(None, map(view_of, layouts)):
+        number = next((n for n, other in enumerate(views) if other.near(view)), len(views))
+        if number == len(views):
+            views.append(view)
+        turns.append(number)
+    return views, turns
+
+
+def of_segments(scans: Iterable[FirstScan]) -> list[str]:
+    """What is said of a sensor whose scans show by turns what lies side by side."""
+    views, turns = _views(scan.layout for scan in scans if scan.layout is not None)
+    counts = Counter(turns)
+    often = [view for n, view in enumerate(views) if counts[n] >= _BY_TURNS]
+    changes = sum(a != b for a, b in pairwise(turns))
+    apart = all(a.shared_with(b) <= _SENSOR_ANGLE_RAD for a, b in combinations(often, 2))
+    if len(often) < 2 or not apart or 2 * changes < len(turns):
+        return []
+    return [
+        f"the scans are {len(often)} segments of a turn, one after the other: each is registered "
+        "alone, and sees little; let the driver, or a node behind it, send whole turns"
+    ]
 
 
 def choose_sensor(

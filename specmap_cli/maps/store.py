@@ -377,7 +377,7 @@ class Map:
         """The file of that name, which every map of a recording has; MapError where it is not."""
         path = self.path / name
         if not path.exists():
-            advice = _PUT_BACK if self.of_recording else _BUILD_ONE
+            advice = _PUT_BACK if self._has(name) or self.of_recording else _BUILD_ONE
             raise MapError(f"has no {name}", advice, where=self.path)
         return path
 

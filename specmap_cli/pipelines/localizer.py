@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,19 @@ class Scan:
 
     def record(self) -> ScanRecord:
         """The scan as a recording has it. Raises InputError for one that cannot be used."""
-        ranges, angles = (np.asarray(each, dtype=np.float64) for each in (self.ranges, self.angles))
+        try:
+            stamp_ns, both = index(self.stamp_ns), (self.ranges, self.angles)
+            if any(map(np.iscomplexobj, both)):
+                raise TypeError
+            ranges, angles = (np.asarray(each, dtype=np.float64) for each in both)
+        except (TypeError, ValueError):
+            what = "a scan whose stamp, ranges or angles are not numbers"
+            raise InputError(what, "expected whole nanoseconds, metres and radians") from None
+        if not 0 <= stamp_ns < 1 << 63:
+            raise InputError(f"a scan stamped {stamp_ns} ns", "expected nanoseconds since 1970")
+        if not self.range_min <= self.range_max:
+            what = f"a scan of a laser from {self.range_min:g} to {self.range_max:g} m"
+            raise InputError(what, "expected a range_min that is no more than range_max")
         usable = ranges.ndim == 1 and ranges.shape == angles.shape and len(angles) > 1
         if not (usable and np.isfinite(angles).all() and (step := np.median(np.diff(angles)))):
             what = f"a scan of {ranges.size} ranges at {angles.size} angles"
@@ -80,7 +93,7 @@ class Scan:
             beams=len(even),
         )
         return ScanRecord(
-            stamp_ns=self.stamp_ns,
+            stamp_ns=stamp_ns,
             frame="laser",
             layout=layout,
             range_min=self.range_min,
@@ -111,20 +124,28 @@ class Localizer:
         self._metric, self._path = metric, stored.path
         self._frames = {id_: room.map_from_room for id_, room in stored.rooms.items()}
         self._leveller: ScanLeveller | None = None
-        self._scans = 0
+        self._scans = self._ahead_ns = 0
 
     def add(self, scan: Scan) -> LocalizedScan:
         """Where the next scan was taken. Raises InputError for one that cannot be used."""
         record = instance_of(scan, Scan, "scan").record()
+        if record.stamp_ns < self._ahead_ns:
+            what = (
+                f"a scan stamped {self._ahead_ns - record.stamp_ns} ns before the one ahead of it"
+            )
+            raise InputError(
+                what, "expected scans in their order, those of each drive by one Localizer"
+            )
+        self._ahead_ns = record.stamp_ns
         if self._leveller is None:
             self._leveller = ScanLeveller(_pose(scan.laser, "laser").matrix())
         try:
-            planar = self._leveller.level(record, scan.stamp_ns)
+            planar = self._leveller.level(record, record.stamp_ns)
         except BadMessageError as error:
             raise InputError(error) from None
         sweep = Sweep(
             index=self._scans,
-            stamp_ns=scan.stamp_ns,
+            stamp_ns=record.stamp_ns,
             planar=planar,
             base_from_laser=self._leveller.mount,
             odom_from_base=None if scan.odometry is None else _pose(scan.odometry, "odometry"),

@@ -35,6 +35,7 @@ from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.check import check_map
 from specmap_cli.quality import findings, holes, odometry
 from tests.comparisons import comparison, thing, way
+from tests.flats import forget_digests
 
 RUN = {"wall_s": 4.0, "memory_mb": 200.0, "counts": {"scans": 80, "lost": 2, "breaks": 1}}
 FINDING: dict[str, Any] = {
@@ -102,6 +103,7 @@ def test_a_figure_that_is_not_known_breaks_its_rule(changed: House) -> None:
 
 def test_a_map_of_no_recording_is_told_how_to_leave_the_default_rules_out(changed: House) -> None:
     path = changed(verdict=None)
+    forget_digests(path)
     for name in ("run.json", "labels.csv"):  # as `specmap segment` leaves it
         (path / name).unlink()
     found = broken(path, read_rules(None, against=False))

@@ -103,13 +103,6 @@ def test_what_follows_a_break_with_a_bridge_is_brought_to_its_walls(drive: Drive
     assert (layout.dropped, layout.loose) == ((), ())
 
 
-def test_what_follows_one_that_nothing_measured_stays_a_guess(drive: Drive) -> None:
-    """Whether a few views know the place is not asked: `pipelines.pieces` lays all of them."""
-    truth, scans = drive
-    layout = laid_out(moved_from(560, truth, (3.0, -2.0, 0.9)), scans, (), {560: None})
-    assert (layout.dropped, layout.loose) == ((), (560,))
-
-
 def test_a_part_that_fits_nowhere_or_is_tied_only_to_itself_is_loose(drive: Drive) -> None:
     assert elsewhere(drive).loose == (60,)
     inside = closure(np.vstack([drive[0][:60], drive[0][300:360]]), 65, 110)

@@ -461,6 +461,8 @@ def test_one_laser_stays_one(path: Path, lasers: list[Laser]) -> None:
     sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 20
     assert [sensor.name for sensor in stream.selection.sensors] == ["laser"]
+    halves = lasers[0] == ("laser", -1.5, 0)
+    assert any("the scans are 2 segments of a turn" in line for line in stream.warnings) == halves
 
 
 def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None:

@@ -274,6 +274,7 @@ def test_strange_stamps_and_scans_are_survived_and_counted() -> None:
     stamps = [1, 2, 2, 5, 4, 6]
     blank = scan_cdr("laser", START + 7 * SECOND, -1.0, 0.2, np.full(10, np.nan), range_max=8.0)
     empty = scan_cdr("laser", START + 8 * SECOND, -1.0, 0.2, [], range_max=8.0)
+    one = np.float64(1.0).tobytes()  # of a quaternion that turns nothing
     stream = stream_of(
         [
             *(scan(START + s * SECOND, time=START + i) for i, s in enumerate(stamps)),
@@ -283,10 +284,11 @@ def test_strange_stamps_and_scans_are_survived_and_counted() -> None:
             Message("/scan", LASER_SCAN, START + 11, empty),
             Message("/scan", "geometry_msgs/msg/Twist", START + 12, bytes(100)),
             Message("/odom", "geometry_msgs/msg/Twist", START + 13, bytes(100)),
+            Message("/odom", ODOMETRY, START + 14, odometry(0, 0.0).data.replace(one, bytes(8))),
         ]
     )
     assert len(list(stream)) == 7
-    counts = {"scans": 7, "unusable_scans": 3, "unusable_odometry": 2, "blank_scans": 1}
+    counts = {"scans": 7, "unusable_scans": 3, "unusable_odometry": 3, "blank_scans": 1}
     counts |= {"backward_stamps": 1, "repeated_stamps": 1, "without_odometry": 7}
     assert {k: n for k, n in stream.counts.items() if n} == counts
     assert len(stream.warnings) == 6

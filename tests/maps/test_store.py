@@ -284,19 +284,12 @@ def test_labels_of_another_map(stored: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "read"),
-    [
-        ("classifiers.json", "classifiers"),
-        ("run.json", "run"),
-        ("map.yaml", "regions"),
-        ("labels.csv", "keyframes"),
-    ],
+    ("name", "read"), [("run.json", "run"), ("map.yaml", "regions"), ("labels.csv", "keyframes")]
 )
 def test_a_map_of_a_recording_says_what_it_lacks(stored: Path, name: str, read: str) -> None:
     (stored / name).unlink()
-    with pytest.raises(MapError, match=f"has no {name}: put that one back") as caught:
+    with pytest.raises(MapError, match=f"has no {name}: put that one back"):
         getattr(read_map(stored), read)
-    assert caught.value.found == f"has no {name}"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history import record
 from specmap_cli.history.record import BuildingRecord
 from specmap_cli.maps.directory import result_directory
+from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
@@ -58,8 +59,13 @@ def test_what_changed_has_its_days_and_rooms(building: BuildingRecord) -> None:
 
 
 def test_the_last_name_that_a_person_gave_is_used(week: Path, tmp_path: Path) -> None:
+    """That of the submap that has most of the room, whatever a smaller one in it is called."""
     edited = shutil.copytree(week / "wednesday", tmp_path / "wednesday")
-    assert main(["edit", str(edited), "--rename", "0", "Kitchen", "-q"]) == 0
+    labels = read_map(edited).labels
+    x, y = np.percentile(labels.poses[labels.submaps == 0, :2], 80.0, axis=0).tolist()
+    line = f"edit {edited} --rename 0 Kitchen --split 0 {x},-50,{x},{y + 50}".split()
+    assert main([*line, "-q"]) == 0
+    assert main([*line[:3], str(max(read_map(edited).ids)), "Larder", "-q"]) == 0
     (building,) = history_of([week / "monday", edited]).record.buildings
     assert [room.name for room in building.rooms].count("Kitchen") == 1
 
