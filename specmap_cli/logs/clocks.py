@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal
@@ -84,6 +84,7 @@ class Clock:
         return stamp_ns + self.odometry_shift_ns
 
 
+@dataclass(slots=True)
 class Disorder:
     """How late scans come, as far as a log has shown: `wait_ns` after one, by the recorder's times.
 
@@ -91,10 +92,11 @@ class Disorder:
     back in time nothing is thought.
     """
 
-    def __init__(self, wait_ns: int = 0) -> None:
-        self.wait_ns = wait_ns
-        self._recent: deque[tuple[int, int]] = deque(maxlen=_RECENT)
-        self._ahead_ns = self._late_ns = self._steps_back = 0
+    wait_ns: int = 0
+    _recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    _ahead_ns: int = 0
+    _late_ns: int = 0
+    _steps_back: int = 0
 
     def take(self, stamp_ns: int, time_ns: int) -> None:
         """The next scan, with its stamp and the recorder's time."""

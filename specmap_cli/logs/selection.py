@@ -36,7 +36,6 @@ from specmap_cli.logs.sensors import (
     choose_topic,
     first_scans,
     glance,
-    of_segments,
     sensors_of,
     topics_beside,
 )
@@ -371,7 +370,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if shown.has_height else None,
         ceilings_m=shown.ceilings_m,
         warnings=(
-            *(*of_segments(scans), *shown.warnings),
+            *shown.warnings,
             *_assumptions(log, topic.name, base, [*assumed, *left_out], tree, child, clock),
             *of_floor,
         ),

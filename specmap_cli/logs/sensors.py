@@ -127,7 +127,8 @@ class ScanSensor:
     """A sensor of a topic. `name` is what `--scan-frame` calls it: its frame, or `frame#number`.
 
     `count` is how many of the scans looked at are its own. `view` is set where the frame has
-    several sensors; a scan is of this one when its own view is near.
+    several sensors; a scan is of this one when its own view is near. Its scans are whole, or so
+    many `segments` of a turn, one after the other.
     """
 
     name: str
@@ -135,6 +136,7 @@ class ScanSensor:
     count: int
     is_cloud: bool
     view: View | None = None
+    segments: int = 1
 
     def made(self, record: ScanRecord | CloudRecord | FirstScan) -> bool:
         """Whether a scan is of this sensor."""
@@ -173,10 +175,12 @@ def sensors_of(scans: Iterable[FirstScan]) -> list[ScanSensor]:
         groups.setdefault((scan.frame, scan.layout is None), []).append(scan)
     found = []
     for (frame, is_cloud), group in groups.items():
-        kinds = _kinds([scan.layout for scan in group if scan.layout is not None])
+        kinds, segments = _kinds([scan.layout for scan in group if scan.layout is not None])
         if len(kinds) < 2:
-            count = len(group)
-            found.append(ScanSensor(name=frame, frame=frame, count=count, is_cloud=is_cloud))
+            alone = ScanSensor(
+                name=frame, frame=frame, count=len(group), is_cloud=is_cloud, segments=segments
+            )
+            found.append(alone)
             continue
         for number, (view, count) in enumerate(kinds, start=1):
             name = f"{frame}#{number}"
@@ -184,51 +188,35 @@ def sensors_of(scans: Iterable[FirstScan]) -> list[ScanSensor]:
     return found
 
 
-def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
-    """The fields of view that overlap and take turns in one frame, and how often each is met."""
-    views, turns = _views(layouts)
+def _kinds(layouts: Sequence[ScanLayout]) -> tuple[list[tuple[View, int]], int]:
+    """The fields of view that overlap and take turns in one frame, and how often each is met.
+
+    Also how many take turns side by side: segments of one turn; 1 where the scans are whole.
+    """
+    views: list[View] = []
+    turns: list[int] = []  # the number of the view of each scan
+    for view in filter(None, map(view_of, layouts)):
+        number = next((n for n, other in enumerate(views) if other.near(view)), len(views))
+        if number == len(views):
+            views.append(view)
+        turns.append(number)
     counts = Counter(turns)
     least = max(_BY_TURNS, _SENSOR_SHARE * len(layouts))
     often = [n for n in range(len(views)) if counts[n] >= least]
     found = []
     for number in often:
         view = views[number]
-        for other in often:
-            shared = view.shared_with(views[other])
+        for other in filter(number.__ne__, often):
             both = [turn for turn in turns if turn in (number, other)]
             changes = sum(a != b for a, b in pairwise(both))
             by_turns = 2 * changes >= min(counts[number], counts[other])
-            if other != number and shared > _SENSOR_ANGLE_RAD and by_turns:
+            if by_turns and view.shared_with(views[other]) > _SENSOR_ANGLE_RAD:
                 found.append((view, counts[number]))
                 break
-    return found
-
-
-def _views(layouts: Iterable[ScanLayout]) -> tuple[list[View], list[int]]:
-    """The fields of view of scans that differ, and the number of that of each scan that has one."""
-    views: list[View] = []
-    turns: list[int] = []
-    for view in filter(None, map(view_of, layouts)):
-        number = next((n for n, other in enumerate(views) if other.near(view)), len(views))
-        if number == len(views):
-            views.append(view)
-        turns.append(number)
-    return views, turns
-
-
-def of_segments(scans: Iterable[FirstScan]) -> list[str]:
-    """What is said of a sensor whose scans show by turns what lies side by side."""
-    views, turns = _views(scan.layout for scan in scans if scan.layout is not None)
-    counts = Counter(turns)
-    often = [view for n, view in enumerate(views) if counts[n] >= _BY_TURNS]
-    changes = sum(a != b for a, b in pairwise(turns))
-    apart = all(a.shared_with(b) <= _SENSOR_ANGLE_RAD for a, b in combinations(often, 2))
-    if len(often) < 2 or not apart or 2 * changes < len(turns):
-        return []
-    return [
-        f"the scans are {len(often)} segments of a turn, one after the other: each is registered "
-        "alone, and sees little; let the driver, or a node behind it, send whole turns"
-    ]
+    met = [view for number, view in enumerate(views) if counts[number] >= _BY_TURNS]
+    beside = all(a.shared_with(b) <= _SENSOR_ANGLE_RAD for a, b in combinations(met, 2))
+    takes_turns = 2 * sum(a != b for a, b in pairwise(turns)) >= len(turns)
+    return found, len(met) if beside and takes_turns and met else 1
 
 
 def choose_sensor(
@@ -347,6 +335,10 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
         f"the angles of the first scan on {topic.name} span {span_rad:,.0f} radians, more than a "
         "turn: are they in degrees? They must be in radians"
     )
+    segments = (
+        f"the scans are {sensor.segments} segments of a turn, one after the other: each is "
+        "registered alone, and sees little; let the driver, or a node behind it, send whole turns"
+    )
     unknown = None, None
     tilt_rad, floor_m = _clear_floor(log, topic, sensor, base_from_laser) if has_height else unknown
     return Glance(
@@ -357,6 +349,7 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor, base_from_laser: Floa
         warnings=(
             *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),
             *((wide,) if span_rad > _MOST_RAD else ()),
+            *((segments,) if sensor.segments > 1 else ()),
         ),
     )
 

@@ -43,49 +43,47 @@ MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan w
 
 
 class OdometryBuffer:
-    """Odometry of the last while, interpolated at the stamps of scans.
+    """Odometry of the last while, interpolated at the stamps of scans; its own `stamps_ns` ascend.
 
     Poses may come in any order; only MAX_POSES are kept. A pose that lies `_CLOCK_RESET_S` or more
     back in time starts the buffer anew, as the clock was set back.
     """
 
     def __init__(self) -> None:
-        self._stamps: list[int] = []
+        self.stamps_ns: list[int] = []
         self._poses: list[Pose2] = []
 
     def __len__(self) -> int:
-        return len(self._stamps)
-
-    @property
-    def latest_ns(self) -> int | None:
-        """The latest stamp, None while empty."""
-        return self._stamps[-1] if self._stamps else None
+        return len(self.stamps_ns)
 
     def add(self, stamp_ns: int, pose: Pose2) -> None:
         """Take in odom_from_base at a stamp; a repeated stamp replaces the pose."""
-        if self._stamps and stamp_ns < self._stamps[-1] - nanoseconds(_CLOCK_RESET_S):
-            self._stamps.clear()
+        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - nanoseconds(_CLOCK_RESET_S):
+            self.stamps_ns.clear()
             self._poses.clear()
-        place = bisect_left(self._stamps, stamp_ns)
-        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
+        place = bisect_left(self.stamps_ns, stamp_ns)
+        if place < len(self.stamps_ns) and self.stamps_ns[place] == stamp_ns:
             self._poses[place] = pose
             return
-        self._stamps.insert(place, stamp_ns)
+        self.stamps_ns.insert(place, stamp_ns)
         self._poses.insert(place, pose)
-        if len(self._stamps) > MAX_POSES:
-            del self._stamps[: MAX_POSES // 2]
+        if len(self.stamps_ns) > MAX_POSES:
+            del self.stamps_ns[: MAX_POSES // 2]
             del self._poses[: MAX_POSES // 2]
 
     def at(self, stamp_ns: int) -> Pose2 | None:
         """odom_from_base at a stamp, None where the odometry has a hole or does not reach."""
-        place = bisect_left(self._stamps, stamp_ns)
-        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
+        place = bisect_left(self.stamps_ns, stamp_ns)
+        if place < len(self.stamps_ns) and self.stamps_ns[place] == stamp_ns:
             return self._poses[place]
-        if place in (0, len(self._stamps)):  # the first or last pose when it is near enough in time
+        if place in (
+            0,
+            len(self.stamps_ns),
+        ):  # the first or last pose when it is near enough in time
             nearest, hold_ns = max(place - 1, 0), nanoseconds(_ODOMETRY_HOLD_S)
-            near = self._stamps and abs(self._stamps[nearest] - stamp_ns) <= hold_ns
+            near = self.stamps_ns and abs(self.stamps_ns[nearest] - stamp_ns) <= hold_ns
             return self._poses[nearest] if near else None
-        before, after = self._stamps[place - 1], self._stamps[place]
+        before, after = self.stamps_ns[place - 1], self.stamps_ns[place]
         if after - before > nanoseconds(_ODOMETRY_GAP_S):
             return None
         share = (stamp_ns - before) / (after - before)
@@ -265,8 +263,8 @@ class SweepStream:
                     counts["unusable_odometry"] += 1
                 counts["odometry"] = odometry.heard
             while waiting:
-                first, latest = waiting[0], odometry.poses.latest_ns
-                heard = first.own is not None or (latest is not None and latest >= first.stamp_ns)
+                first, known_ns = waiting[0], odometry.poses.stamps_ns
+                heard = first.own is not None or bool(known_ns and first.stamp_ns <= known_ns[-1])
                 waited_ns = message.time_ns - first.time_ns
                 many = len(waiting) > _ODOMETRY_WAIT_SCANS
                 late = many or waited_ns > nanoseconds(_ODOMETRY_WAIT_S)

@@ -196,7 +196,9 @@ class Map:
     @property
     def of_recording(self) -> bool:
         """Whether it was made of a recording; one of a finished grid has no keyframes."""
-        return self._has(filenames.LABELS)
+        return (
+            filenames.LABELS in self.record.graph.files or (self.path / filenames.LABELS).exists()
+        )
 
     @property
     def keyframes(self) -> Labels:
@@ -291,7 +293,8 @@ class Map:
         if not of_grid.exists():
             divided = divide(self.map_grid, self.labels, fences_of(self.record.graph.edits.borders))
             return divided.grid, divided.owner
-        if not self._has(f"{filenames.MAP_GRID}.yaml"):
+        yaml = f"{filenames.MAP_GRID}.yaml"
+        if yaml not in self.record.graph.files and not (self.path / yaml).exists():
             return composed(self)  # an earlier version divided it
         owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int32) - 1
         known = set(np.unique(owner).tolist()) <= {NOBODY, *self.ids}
@@ -369,15 +372,12 @@ class Map:
             raise _foreign(self.path / filenames.RUN)
         return run
 
-    def _has(self, name: str) -> bool:
-        """Whether a file of that name is there, or was when the map was written."""
-        return name in self.record.graph.files or (self.path / name).exists()
-
     def _of_recording(self, name: str) -> Path:
         """The file of that name, which every map of a recording has; MapError where it is not."""
         path = self.path / name
         if not path.exists():
-            advice = _PUT_BACK if self._has(name) or self.of_recording else _BUILD_ONE
+            lost = name in self.record.graph.files or self.of_recording
+            advice = _PUT_BACK if lost else _BUILD_ONE
             raise MapError(f"has no {name}", advice, where=self.path)
         return path
 
