@@ -73,17 +73,15 @@ class OdometryBuffer:
 
     def at(self, stamp_ns: int) -> Pose2 | None:
         """odom_from_base at a stamp, None where the odometry has a hole or does not reach."""
-        place = bisect_left(self.stamps_ns, stamp_ns)
-        if place < len(self.stamps_ns) and self.stamps_ns[place] == stamp_ns:
+        stamps = self.stamps_ns
+        place = bisect_left(stamps, stamp_ns)
+        if place < len(stamps) and stamps[place] == stamp_ns:
             return self._poses[place]
-        if place in (
-            0,
-            len(self.stamps_ns),
-        ):  # the first or last pose when it is near enough in time
+        if place in (0, len(stamps)):  # the first or last pose when it is near enough in time
             nearest, hold_ns = max(place - 1, 0), nanoseconds(_ODOMETRY_HOLD_S)
-            near = self.stamps_ns and abs(self.stamps_ns[nearest] - stamp_ns) <= hold_ns
+            near = stamps and abs(stamps[nearest] - stamp_ns) <= hold_ns
             return self._poses[nearest] if near else None
-        before, after = self.stamps_ns[place - 1], self.stamps_ns[place]
+        before, after = stamps[place - 1], stamps[place]
         if after - before > nanoseconds(_ODOMETRY_GAP_S):
             return None
         share = (stamp_ns - before) / (after - before)
