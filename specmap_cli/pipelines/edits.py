@@ -65,8 +65,11 @@ class RequestedEdits:
 
 def with_requested(edits: Edits, requested: RequestedEdits) -> Edits:
     """The edits with what is asked for. Raises UsageError for what can be no edit."""
+    undone = [change for n, change in enumerate(edits.changes, start=1) if n in requested.undo]
+    joined = {change.new for change in undone if isinstance(change, SplitEdit)}
+    gone = joined.union(requested.forget)
     submaps: dict[int, Any] = {
-        id_: edit.model_dump() for id_, edit in edits.submaps.items() if id_ not in requested.forget
+        id_: edit.model_dump() for id_, edit in edits.submaps.items() if id_ not in gone
     }
     for id_ in requested.submaps:
         said = submaps[id_] = dict(submaps.get(id_, {}))
@@ -158,13 +161,16 @@ def drawn(
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
     found = redrawn(whole, labels, borders, borders_in(edits), next_id, unentered)
     skipped = {places[place]: why for place, why in found.skipped.items()}
-    changes = list(edits.changes)
+    changes, said = list(edits.changes), dict(edits.submaps)
     made = [place for place in places if place not in skipped]
     for place, border in zip(made, found.borders, strict=True):
         change = changes[place]
-        if isinstance(change, SplitEdit) and isinstance(border, Split):
+        if isinstance(change, SplitEdit) and isinstance(border, Split) and border.new is not None:
             changes[place] = SplitEdit(split=change.split, line=change.line, new=border.new)
-    numbered = Edits(submaps=edits.submaps, changes=tuple(changes))
+            if change.new is None and change.split in said:  # half a room is as slow as the whole
+                own = {**said[change.split].model_dump(), "name": None}
+                said.setdefault(border.new, SubmapEdit(**own))
+    numbered = _saying(Edits(submaps=said, changes=tuple(changes)))
     return Drawn(found.submaps, found.borders, found.next_id, skipped, numbered)
 
 

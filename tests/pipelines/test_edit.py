@@ -169,8 +169,12 @@ class TestBorders:
         new = before.topology.next_id
         edit_json(own / "run.json", versions__specmap="0.0.1")
         wish = split(before, corridor)
-        report = edit(own, wish, names={room: "Lab"}, out=tmp_path / "divided")
+        names, slow = {room: "Lab", corridor: "Gang"}, {"speed_limit": 0.3}
+        said: dict[str, Any] = {"names": names, "properties": {corridor: slow}}
+        report = edit(own, wish, **said, out=tmp_path / "divided")
         divided = read_map(report.out)
+        assert divided.topology.submaps[new].properties == slow, "half a room is no faster"
+        assert divided.topology.submaps[new].name != "Gang"
         assert report.remade
         assert set(divided.ids) == {*before.ids, new}
         assert f"new = {new}" in (divided.path / "edits.toml").read_text(encoding="utf-8")
@@ -201,6 +205,7 @@ class TestBorders:
         report = edit(merged, undo=(1, 2), out=tmp_path / "undone")
         undone = read_map(report.out)
         assert report.remade
+        assert report.unapplied == (), "nothing is said of a submap that was never there"
         assert undone.labels.submaps.tolist() == before.labels.submaps.tolist()
         assert undone.regions.owner.tolist() == before.regions.owner.tolist()
         assert undone.topology.next_id == new + 1  # an id is given once
