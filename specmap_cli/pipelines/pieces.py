@@ -3,19 +3,21 @@
 While no scans are recorded, or none can be registered, a robot may be carried. Afterwards closures
 say where it is, each by one submap; where rooms look alike, several may agree and be wrong. So the
 map of all that followed is laid on the map of all before, as two maps of one building are. A
-piece that fits elsewhere, and there alone, is moved there. Of one that fits in two places nearly as
+piece that fits in one place alone is moved there. Of one that fits in two places nearly as
 well nobody can tell where it lies.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import IDENTITY, Pose2, compose, invert, travelled
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, travelled
 from specmap_cli.core.records import Trajectory
 from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.layout.pose_graph import Link
@@ -32,6 +34,10 @@ from specmap_cli.recognition.closure.verification import are_rivals
 _LEAST_M, _LEAST_SHARE = 10.0, 0.05
 _BESIDE_M = 2.0  # between ways that a tie joins: walls around both are the same
 _TIE_SIGMA_M, _TIE_SIGMA_RAD = 0.1, 0.02  # spread of where whole maps fit
+_NEAR_M, _NEAR_RAD = (
+    2.0 * _TIE_SIGMA_M,
+    2.0 * _TIE_SIGMA_RAD,
+)  # a piece lies right that is no farther
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +68,52 @@ def pieces_placed(session: Session, pieces: Pieces, tracked: Trajectory) -> Piec
     holes = holes_of(store, rows, corrected(tracked, store, layout.poses), layout, breaks)
     starts = {hole.keyframe for hole in holes if doubt_of(hole)}
     starts |= {number for number, bridge in breaks.items() if number and bridge is None}
-    for start, end in pairwise([*sorted(starts), len(store)]):
+    numbers = sorted(starts)
+
+    @cache
+    def own() -> FloatArray:
+        inner = [
+            link
+            for link in pieces.closures
+            if np.ptp(np.searchsorted(numbers, (link.source, link.target), side="right")) == 0
+        ]
+        apart = {**breaks, **dict.fromkeys(numbers)}
+        return relax(store, inner, apart, session.config.relaxation).poses
+
+    for start, end in pairwise([*numbers, len(store)]):
         way = travelled(pieces.layout.poses)
         if way[end - 1] - way[start] >= max(_LEAST_M, _LEAST_SHARE * way[-1]):
-            pieces = _placed(session, pieces, start, end)
+            pieces = _placed(session, pieces, range(start, end), own)
     return pieces
 
 
-def _placed(session: Session, pieces: Pieces, start: int, end: int) -> Pieces:
-    """The piece of the keyframes from `start` to `end` held against all before."""
-    poses = pieces.layout.poses
-    x, y, _ = poses[start:end].mean(axis=0).tolist()
-    middle = Pose2(x, y, 0.0)
-    before = _to_align(session, pieces.layout, range(start))
-    places = align(before, _to_align(session, pieces.layout, range(start, end))).places
-    elsewhere = [motion for motion in places if are_rivals(motion @ middle, middle)]
+def _placed(session: Session, pieces: Pieces, span: range, own: Callable[[], FloatArray]) -> Pieces:
+    """A piece, the keyframes of a span, held against all before.
+
+    It is held as it is laid out. Where it does not lie right so, it has `own` poses (n, 3), as it
+    is by itself: what ties it to others may be wrong, and bends it.
+    """
+    start, laid, fit = span.start, pieces.layout.poses, None
+    before, middle = _to_align(session, laid, range(start)), start + len(span) // 2
     fitting = replace(pieces, fitting=pieces.fitting | {start})
-    if not elsewhere:
-        return fitting if places else pieces
-    ties = _ties(pieces.layout, start, end, places[0])
+    for bent in (True, False):
+        poses = laid if bent else own()
+        places = align(before, _to_align(session, poses, span)).places
+        if not places:
+            continue
+        as_laid = Pose2(*laid[middle].tolist()) @ Pose2(*poses[middle].tolist()).inverse()
+        x, y, _ = poses[start : span.stop].mean(axis=0).tolist()
+        centre = Pose2(x, y, 0.0)
+        offs = [(as_laid @ centre).inverse() @ place @ centre for place in places]
+        elsewhere = [off for off in offs if are_rivals(off, IDENTITY)]
+        near = offs[0].distance <= _NEAR_M and abs(offs[0].theta) <= _NEAR_RAD
+        if near and not elsewhere and start not in pieces.layout.loose:
+            return fitting
+        fit = poses, places, elsewhere
+    if fit is None:
+        return pieces
+    poses, places, elsewhere = fit
+    ties = _ties(pieces.layout, span, compose(np.array(places[0]), poses))
     if len(places) == 1 and ties:
         ties, breaks = (*pieces.ties, *ties), {**pieces.breaks, start: None}
         layout = relax(
@@ -88,24 +121,28 @@ def _placed(session: Session, pieces: Pieces, start: int, end: int) -> Pieces:
         )
         if not layout.agreement.is_worse_than(pieces.layout.agreement):
             return replace(fitting, layout=layout, breaks=breaks, ties=ties)
-    away_m = (middle.inverse() @ elsewhere[0] @ middle).distance
-    return replace(pieces, rivals=(*pieces.rivals, Rival(start, away_m)))
+    if not elsewhere:
+        return fitting
+    return replace(pieces, rivals=(*pieces.rivals, Rival(start, elsewhere[0].distance)))
 
 
-def _to_align(session: Session, layout: Layout, span: range) -> MapToAlign:
-    """The map that the keyframes of a span make, as the alignment takes it."""
-    poses = layout.poses[span.start : span.stop]
-    whole = integrate_keyframes(session.store, span, poses, session.config.grid).snapshot()
+def _to_align(session: Session, poses: FloatArray, span: range) -> MapToAlign:
+    """The map that the keyframes of a span make at poses (n, 3), as the alignment takes it."""
+    placed = poses[span.start : span.stop]
+    whole = integrate_keyframes(session.store, span, placed, session.config.grid).snapshot()
     return MapToAlign(whole=whole, grids={0: whole}, frames={0: IDENTITY})
 
 
-def _ties(layout: Layout, start: int, end: int, motion: Pose2) -> tuple[Link, ...]:
-    """Ties of nodes of a piece that is moved to the nearest ones before: one every some metres."""
+def _ties(layout: Layout, span: range, poses: FloatArray) -> tuple[Link, ...]:
+    """Ties of nodes of a piece that is moved to the nearest ones before: one every some metres.
+
+    `poses` (n, 3) of the keyframes of the piece are those that it is moved to.
+    """
     before, after = (
         layout.nodes[(low <= layout.nodes) & (layout.nodes < high)]
-        for low, high in ((0, start), (start, end))
+        for low, high in ((0, span.start), (span.start, span.stop))
     )
-    moved = compose(np.array(motion), layout.poses[after])
+    moved = poses[after]
     away, nearest = cKDTree(layout.poses[before, :2]).query(moved[:, :2])
     stretch = travelled(moved) // SAME_PLACE_M
     ties = []

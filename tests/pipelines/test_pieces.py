@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
@@ -25,13 +26,22 @@ from tests.layout.driving import (
 ELSEWHERE = (9.0, -4.0, 2.0)  # a motion of the map
 
 
-def placed(world: GridMap, motion: tuple[float, float, float], end: int | None = None) -> Pieces:
+def placed(
+    world: GridMap,
+    motion: tuple[float, float, float],
+    end: int | None = None,
+    bent_m: float = 0.0,
+    tied: bool = False,
+) -> Pieces:
     """Two laps in a building; the second is laid out elsewhere, and nothing measured the way."""
     truth = round_trip()[:end]
     poses, breaks = moved_from(SECOND_LAP, truth, motion), {SECOND_LAP: None}
     with stored(poses, scans_of(world, truth)) as store:
         found = relax(store, (), breaks, Config().relaxation)
-        wrong = replace(found, poses=poses, agreement=Agreement(agree=900, contradict=100))
+        laid = poses.copy()
+        laid[SECOND_LAP:, 0] += np.linspace(0.0, bent_m, len(laid) - SECOND_LAP)
+        bad = Agreement(agree=900, contradict=100)
+        wrong = replace(found, poses=laid, loose=() if tied else found.loose, agreement=bad)
         tracked = Trajectory(store.stamps_ns, store.poses)
         return pieces_placed(Session(Config(), store), Pieces(wrong, (), breaks), tracked)
 
@@ -44,8 +54,19 @@ def bare() -> GridMap:
     return GridMap(cells, 0.05)
 
 
-def test_a_piece_is_moved_to_where_its_walls_fit() -> None:
-    found = placed(building(), ELSEWHERE)
+@pytest.mark.parametrize(
+    ("motion", "bent_m"),
+    [
+        (ELSEWHERE, 0.0),
+        (ELSEWHERE, 3.0),  # what tied it bent it
+        ((0.4, 0.3, 0.0), 0.0),  # near, but not where it fits
+        ((0.0, 0.0, 0.0), 0.0),  # a guess that is right
+    ],
+)
+def test_a_piece_is_moved_to_where_its_walls_fit(
+    motion: tuple[float, float, float], bent_m: float
+) -> None:
+    found = placed(building(), motion, bent_m=bent_m)
     assert worst(found.layout.poses, round_trip()) < 0.3
     assert found.fitting == {SECOND_LAP}
     assert not found.rivals
@@ -55,7 +76,7 @@ def test_a_piece_is_moved_to_where_its_walls_fit() -> None:
 
 
 def test_a_piece_that_lies_where_it_fits_stays_and_is_sure() -> None:
-    found = placed(building(), (0.1, 0.1, 0.01))
+    found = placed(building(), (0.1, 0.1, 0.0), tied=True)
     assert found.fitting == {SECOND_LAP}
     assert not found.rivals
     assert not found.ties
