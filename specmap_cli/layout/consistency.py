@@ -40,7 +40,7 @@ _APART_M = 5.0  # claims nearer than this along both passes count as one
 # ends where no others agree.
 _ALONE_SIGMAS, _ALONE_SHARE = 3.0, 0.15
 _ALONE_RAD = 1.0  # by which it may turn the path: at quarter turns rooms look alike
-_MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
+MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
 # Error of a claim that is right, where claims are compared: of its place, of its heading.
 _CLAIM_M, _CLAIM_RAD = 0.15, 0.03
 _CLAIM_ERROR = np.diag([_CLAIM_M**2, _CLAIM_M**2, _CLAIM_RAD**2])
@@ -78,7 +78,7 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
     known_m = _sigma_m(spread.between(ends.i, ends.j))
     agree, told_m = pairs_of(graph, draft.poses, ends, spread)
-    possible = (older != newer) | (sigmas <= _MEND_SIGMAS)
+    possible = (older != newer) | (sigmas <= MEND_SIGMAS)
     votes = _votes(graph, ends, agree, told_m <= known_m / _SURE, possible)
     winners = votes >= _VOTES
     # of those that agree, the one that knows its place best, if better than the path

@@ -175,24 +175,26 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
     return float(np.where(plain, chi2, c2 * np.log1p(chi2 / c2)).sum())
 
 
-def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> FloatArray:
-    """Covariance (3, 3) of the pose of row `b` seen from that of row `a`, by all edges.
+def spread_between(poses: FloatArray, edges: LinkArrays, a: IntArray, b: IntArray) -> FloatArray:
+    """Covariances (L, 3, 3) of the poses of rows `b` (L,) seen from rows `a`, by all edges.
 
     In the frame of row `b`, as the errors of edges.
     """
-    pair = LinkArrays(
-        i=np.array([a]),
-        j=np.array([b]),
-        z=compose(invert(poses[[a]]), poses[[b]]),
-        w=np.eye(3)[None],
-        width=np.array([np.inf]),
+    pairs = LinkArrays(
+        i=a,
+        j=b,
+        z=compose(invert(poses[a]), poses[b]),
+        w=np.tile(np.eye(3), (len(a), 1, 1)),
+        width=np.full(len(a), np.inf),
     )
-    by_a, by_b = _jacobians(poses, pair)
-    moved = np.zeros((len(poses), 3, 3))  # what moves the pair's error, transposed
-    moved[a], moved[b] = by_a[0].T, by_b[0].T
-    right = moved[1:].reshape(-1, 3)
     factor, _ = _normal(poses, edges, 0.0)
-    return product(right.T, np.asarray(factor.solve(right), dtype=np.float64))
+    found = np.zeros((len(a), 3, 3))
+    for number, (i, j, by_i, by_j) in enumerate(zip(a, b, *_jacobians(poses, pairs), strict=True)):
+        moved = np.zeros((len(poses), 3, 3))  # what moves the pair's error, transposed
+        moved[i], moved[j] = by_i.T, by_j.T
+        right = moved[1:].reshape(-1, 3)
+        found[number] = product(right.T, np.asarray(factor.solve(right), dtype=np.float64))
+    return found
 
 
 def _normal(poses: FloatArray, edges: LinkArrays, damping: float) -> tuple[SuperLU, FloatArray]:

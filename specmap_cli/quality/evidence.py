@@ -41,8 +41,9 @@ ODOMETRY_WINDOW_M = 5.0  # way over which odometry is compared with the map
 # Share of the way in a single place, where wheels slip, before it is noted.
 ODOMETRY_SLIP_SHARE = 0.5
 HOLE_S = 5.0  # a hole without scans: in less nobody carries a robot to another room
-# In less a robot may drive on unseen, past a room that looks like the next: without odometry a
-# pause is a hole that is longer than this, and in which it comes farther than this, as before.
+# In less a robot may drive on unseen, past a room that looks like the next: where no odometry tells
+# the same motion as the map, a pause is a hole that is longer than this, and in which it comes
+# farther than this, as before.
 _SHORT_S, _UNSEEN_M = 1.0, 1.0
 _HOLE_INTERVALS = 5.0  # a hole has so many usual intervals: robots that stand may record little
 _HOLE_WALLS_M = 0.15  # walls this near to those seen before a hole are the same
@@ -168,7 +169,7 @@ def stretches_of(guessed_m: FloatArray, layout: Layout) -> tuple[Stretch, ...]:
         if off_m < _OFF_M:
             continue
         if layout.kept:
-            spread = spread_between(poses, edges, start, end)
+            (spread,) = spread_between(poses, edges, np.array([start]), np.array([end]))
             away = poses[end] - poses[start]
             x, y, _ = compose(invert(poses[end] * (0.0, 0.0, 1.0)), away).tolist()
             way = np.array([x, y]) / max(math.hypot(x, y), _OFF_M)
@@ -226,7 +227,7 @@ def _spans(
     drives_on = [
         intervals_s[before] > HOLE_S
         or (
-            _measured(trajectory, before, before + 1) is None
+            not _confirmed(trajectory, before, before + 1)
             and _went_on(trajectory, before, before + 1).distance > _UNSEEN_M
         )
         for before in missing.tolist()
@@ -275,6 +276,13 @@ def _measured(trajectory: Trajectory, before: int, after: int) -> Pose2 | None:
     return _motion(odometry, before, after)
 
 
+def _confirmed(trajectory: Trajectory, before: int, after: int) -> bool:
+    """Whether odometry moved between two rows as the map did: one that starts afresh does not."""
+    measured = _measured(trajectory, before, after)
+    by_map = _motion(trajectory.poses, before, after)
+    return measured is not None and agree(measured, by_map.inverse() @ measured)
+
+
 def _expected(trajectory: Trajectory, before: int, after: int) -> Pose2:
     """The motion of a robot that went on, or stood: as the map's. It does not stop for a moment."""
     by_map, went_on = _motion(trajectory.poses, before, after), _went_on(trajectory, before, after)
@@ -305,6 +313,13 @@ def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int) -> float:
         return 0.0
     away, _ = cKDTree(walls).query(seen)
     return float((away <= _HOLE_WALLS_M).mean())
+
+
+def agree(measured: Pose2, apart: Pose2) -> bool:
+    """Whether odometry that measured a motion, `apart` from the map's, tells the same motion."""
+    slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
+    slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
+    return apart.distance <= slack_m and abs(apart.theta) <= slack_rad
 
 
 def is_still(motion: Pose2) -> bool:

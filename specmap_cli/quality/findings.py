@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from specmap_cli.core.findings import INPUT, Finding
 from specmap_cli.core.geometry import (
     FloatArray,
     compose,
+    inverse3,
     invert,
     step_lengths,
 )
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import DOUBTFUL
+from specmap_cli.layout.consistency import MEND_SIGMAS
 from specmap_cli.layout.path_graph import Ends
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.pose_graph import Link, LinkArrays, errors, spread_between
 from specmap_cli.quality.evidence import (
     MOVED_M,
     MOVED_VOTES,
@@ -281,10 +284,22 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
 
 
 def maybe_back(evidence: Evidence) -> Iterator[Finding]:
-    """Walls found where the robot was before, too few times to move the map to there."""
+    """Walls found where the robot was before, too few times to move the map to there.
+
+    What the finished layout rules out only looks alike, as bays of shelves do.
+    """
     layout = evidence.layout
     passes = [link for link in layout.dropped if link.kind == "nearby"]
     alone = [link for link in passes if layout.why.get((link.source, link.target)) == "alone"]
+    if not alone:
+        return
+    nodes = {number: row for row, number in enumerate(layout.nodes.tolist())}
+    poses, ends = layout.poses[layout.nodes], Ends.of(nodes, alone)
+    edges = LinkArrays.of([*layout.odometry, *layout.kept], nodes, {})
+    missed = errors(poses, ends.i, ends.j, ends.z)
+    known = inverse3(spread_between(poses, edges, ends.i, ends.j))
+    is_open = np.einsum("la,lab,lb->l", missed, known, missed) <= MEND_SIGMAS**2
+    alone = list(compress(alone, is_open.tolist()))
     votes, motion = _most_agreed(alone, layout.poses)
     if votes >= _LEAST:
         start = min(max(link.source, link.target) for link in alone)

@@ -19,13 +19,11 @@ from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import (
     HOLE_S,
     MOVED_VOTES,
-    ODOMETRY_SHARE,
     SAME_PLACE_M,
-    STILL_M,
-    STILL_RAD,
     Evidence,
     Hole,
     HoleKind,
+    agree,
     is_still,
     told,
 )
@@ -119,10 +117,7 @@ def doubt_of(hole: Hole) -> str:
     """
     measured, apart = hole.measured, hole.apart
     if measured is not None and not is_still(measured):
-        slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
-        slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
-        same = apart.distance <= slack_m and abs(apart.theta) <= slack_rad
-        return "" if same else "odometry tells another motion than the map"
+        return "" if agree(measured, apart) else "odometry tells another motion than the map"
     if is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE:
         return ""
     if measured is None:

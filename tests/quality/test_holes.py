@@ -92,6 +92,8 @@ def test_a_robot_drives_on_in_a_short_hole_without_odometry(on_m: float, said: b
     assert bool(told(seen)) == said
     assert not list(noted(evidence(replace(seen, keyframe=100, row=100))))
     assert found(scans, poses, poses) == ()
+    afresh = poses - (np.arange(len(poses)) > 20)[:, None] * poses[21]
+    assert [bool(told(seen)) for seen in found(scans, poses, afresh)] == [True]
 
 
 def test_scans_lost_behind_a_hole_do_not_say_where_the_robot_is() -> None:

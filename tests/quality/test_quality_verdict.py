@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
@@ -348,10 +348,14 @@ def test_another_place_of_what_nothing_measured_the_way_to_is_told() -> None:
     assert is_of_recording(told), "it stays when another recording is added"
 
 
-def maybe(found: Sequence[Link]) -> list[Finding]:
+def maybe(found: Sequence[Link], sigma_m: float = 2.0, **changed: Any) -> list[Finding]:
+    """What is told of links refuted for being alone, on a path whose steps are off by so much."""
     alone = tuple(replace(one, kind="nearby") for one in found)
-    why = {(one.source, one.target): "alone" for one in alone}
-    return list(maybe_back(laid(evidence_of(POSES), dropped=alone, why=why)))
+    steps = compose(invert(POSES[:-1]), POSES[1:]).tolist()
+    way = [Link.closure(k, k + 1, Pose2(*step), sigma_m, 0.1) for k, step in enumerate(steps)]
+    known = {"why": {(one.source, one.target): "alone" for one in alone}, "dropped": alone}
+    layout = {"nodes": np.arange(len(POSES)), "odometry": tuple(way), **known, **changed}
+    return list(maybe_back(laid(evidence_of(POSES), **layout)))
 
 
 @pytest.mark.parametrize(
@@ -369,17 +373,18 @@ def test_what_does_not_agree_on_another_place_is_not_told(found: list[Link]) -> 
 
 
 def test_walls_found_elsewhere_too_few_times_to_go_by_are_told() -> None:
-    found = [replace(claim(k, k + 30, ELSEWHERE), kind="nearby") for k in (10, 12, 14)]
-    why = {(one.source, one.target): "alone" for one in found}
-    (told,) = maybe_back(laid(evidence_of(POSES), dropped=tuple(found), why=why))
+    found = [claim(k, k + 30, ELSEWHERE) for k in (10, 12, 14)]
+    (told,) = maybe(found)
     away = (ELSEWHERE @ Pose2(*POSES[40].tolist())).matrix() - Pose2(*POSES[40].tolist()).matrix()
     distance_m = np.hypot(*away[:2, 3])
     assert (told.severity, told.code, told.value) == ("doubtful", "rival-place", 3.0)
     assert told.message.startswith("walls seen around 40.000 s and 2 times more look like those ")
     assert f" {distance_m:.1f} m from there before" in told.message
-    for fewer in ({"dropped": found[:1]}, {"why": dict.fromkeys(why, "outvoted")}):
-        changed: dict[str, Any] = {"dropped": found, "why": why, **fewer}
-        assert not list(maybe_back(laid(evidence_of(POSES), **changed)))
+    assert not maybe(found[:1])
+    assert not maybe(found, why={(one.source, one.target): "outvoted" for one in found})
+    assert not maybe(found, sigma_m=0.2), "the path says that it is another place that looks alike"
+    ties = [claim(k, k + 30, Pose2(0.0, 0.0, 0.0)) for k in (10, 12, 14)]
+    assert not maybe(found, kept=tuple(ties)), "and so do places that were recognised"
 
 
 def test_the_memory_does_not_grow_with_the_square_of_the_refuted_links() -> None:
