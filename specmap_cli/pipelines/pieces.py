@@ -34,10 +34,7 @@ from specmap_cli.recognition.closure.verification import are_rivals
 _LEAST_M, _LEAST_SHARE = 10.0, 0.05
 _BESIDE_M = 2.0  # between ways that a tie joins: walls around both are the same
 _TIE_SIGMA_M, _TIE_SIGMA_RAD = 0.1, 0.02  # spread of where whole maps fit
-_NEAR_M, _NEAR_RAD = (
-    2.0 * _TIE_SIGMA_M,
-    2.0 * _TIE_SIGMA_RAD,
-)  # a piece lies right that is no farther
+_NEAR_M, _NEAR_RAD = 0.2, 0.04  # two of these: a piece that is no farther from there lies right
 
 
 @dataclass(frozen=True, slots=True)
