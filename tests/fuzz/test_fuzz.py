@@ -25,7 +25,7 @@ from specmap_cli.logs.readers.recording import Message
 from specmap_cli.maps.store import Map
 from tests.flats import Mapped
 
-SEED, CASES = 2026, 50
+SEED, CASES = 2026, 100
 CHUNKED = range(0, 40)  # cases of which most are MCAP files or bags
 
 _intact = ChunkedFile.messages

@@ -189,6 +189,44 @@ def test_a_link_to_a_map_stays_and_another_thread_may_write(tmp_path: Path, out:
     assert words_of(out) == "new"
 
 
+@pytest.mark.parametrize(("first", "other"), [SIGNALS, SIGNALS[::-1]])
+def test_a_signal_while_handlers_are_put_back_swallows_no_other(
+    out: Path, monkeypatch: pytest.MonkeyPatch, first: signal.Signals, other: signal.Signals
+) -> None:
+    """One waits while the map is put in place, the other comes as soon as its handler is back."""
+    told: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        told.append(number)
+        raise SystemExit
+
+    put = signal.signal
+
+    def signal_between(number: int, handler: Any) -> Any:
+        replaced = put(number, handler)
+        if number == other and handler is stop and not told:
+            os.kill(os.getpid(), other)
+        return replaced
+
+    def renamed(source: Path, target: Path) -> None:
+        rename(source, target)
+        monkeypatch.setattr(signal, "signal", signal_between)
+        os.kill(os.getpid(), first)
+
+    rename = os.rename
+    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
+    monkeypatch.setattr(os, "rename", renamed)
+    with handled_by(stop):
+        with pytest.raises(SystemExit):
+            write(out)
+        for number in (first, other):
+            with contextlib.suppress(SystemExit):
+                os.kill(os.getpid(), number)
+    assert told == [other, first, first, other]
+    assert words_of(out) == "new"
+    assert hidden(out.parent) == []
+
+
 def interrupted_at(event: int, out: Path) -> bool:
     """Overwrite `out`, with a signal at one event of tracing; False when the write has fewer.
 

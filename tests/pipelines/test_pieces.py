@@ -23,24 +23,20 @@ from tests.layout.driving import (
     worst,
 )
 
+Motion = tuple[float, float, float]
 ELSEWHERE = (9.0, -4.0, 2.0)  # a motion of the map
 
 
 def placed(
-    world: GridMap,
-    motion: tuple[float, float, float],
-    end: int | None = None,
-    bent_m: float = 0.0,
-    tied: bool = False,
+    world: GridMap, motion: Motion, end: int | None = None, bent_m: float = 0.0, tied: bool = False
 ) -> Pieces:
     """Two laps in a building; the second is laid out elsewhere, and nothing measured the way."""
     truth = round_trip()[:end]
     poses, breaks = moved_from(SECOND_LAP, truth, motion), {SECOND_LAP: None}
     with stored(poses, scans_of(world, truth)) as store:
         found = relax(store, (), breaks, Config().relaxation)
-        laid = poses.copy()
+        laid, bad = poses.copy(), Agreement(agree=900, contradict=100)
         laid[SECOND_LAP:, 0] += np.linspace(0.0, bent_m, len(laid) - SECOND_LAP)
-        bad = Agreement(agree=900, contradict=100)
         wrong = replace(found, poses=laid, loose=() if tied else found.loose, agreement=bad)
         tracked = Trajectory(store.stamps_ns, store.poses)
         return pieces_placed(Session(Config(), store), Pieces(wrong, (), breaks), tracked)
@@ -63,9 +59,7 @@ def bare() -> GridMap:
         ((0.0, 0.0, 0.0), 0.0),  # a guess that is right
     ],
 )
-def test_a_piece_is_moved_to_where_its_walls_fit(
-    motion: tuple[float, float, float], bent_m: float
-) -> None:
+def test_a_piece_is_moved_to_where_its_walls_fit(motion: Motion, bent_m: float) -> None:
     found = placed(building(), motion, bent_m=bent_m)
     assert worst(found.layout.poses, round_trip()) < 0.3
     assert found.fitting == {SECOND_LAP}
