@@ -15,11 +15,11 @@ import math
 import os
 import tempfile
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -59,18 +59,28 @@ class KeyframeSelector:
 
 
 def integrate_keyframes(
-    store: KeyframeStore, numbers: Iterable[int], poses: FloatArray, config: GridConfig
+    store: KeyframeStore,
+    numbers: Sequence[int],
+    poses: FloatArray,
+    config: GridConfig,
+    starts: Collection[int] = (),
 ) -> OccupancyGrid:
-    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base.
+    """A grid of keyframes `numbers` (n,) of the store taken at `poses` (n, 3), grid from base.
 
     `refused` of the result counts the scans that reach beyond the largest grid allowed. A robot
-    that patrols sees a place again and again: see `informative`.
+    that patrols sees a place again and again: see `informative`. Recordings after the first one
+    begin with the keyframes `starts`; then the numbers ascend, and what a later recording looked at
+    often enough is as that one saw it.
     """
-    grid = OccupancyGrid(config)
-    taken = list(zip(numbers, poses, strict=True))
-    chosen = informative(np.asarray(poses))
-    add_keyframes(grid, store, [taken[place][0] for place in chosen.tolist()], poses[chosen])
-    return grid
+    whole = OccupancyGrid(config)
+    bounds = np.searchsorted(numbers, sorted(starts)).tolist()
+    for first, end in pairwise([0, *bounds, len(numbers)]):
+        grid = OccupancyGrid(config) if first else whole
+        chosen = first + informative(poses[first:end])
+        add_keyframes(grid, store, [numbers[place] for place in chosen.tolist()], poses[chosen])
+        if first:
+            whole.include(grid, renewing=True)
+    return whole
 
 
 def informative(poses: FloatArray) -> IntArray:

@@ -26,6 +26,7 @@ _Indices = NDArray[np.intp]
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _MOST = 60_000  # scans counted of a cell: what comes after them changes no share
+_RENEWED_BY = 8  # looks of a newer recording after which a cell is as it was seen last
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
 
 SURFACE_GAP_M = 0.3  # returns this close bound one surface
@@ -109,14 +110,26 @@ class OccupancyGrid:
         shape = self._hits.shape
         return self.snapshot(slices_near(points, reach_m, origin, self.resolution, shape))
 
-    def include(self, other: OccupancyGrid) -> None:
-        """Add the counts of another grid of the same cells, if this one may grow to hold it."""
+    def include(self, other: OccupancyGrid, *, renewing: bool = False) -> None:
+        """Add the counts of another grid of the same cells, if this one may grow to hold it.
+
+        A building changes: with `renewing`, cells at which the other one looked `_RENEWED_BY` times
+        or more are as it saw them, unless it hit a cell beside them and leaves open whether they
+        are walls: seen from afar a wall is hit here and there.
+        """
+        self.refused += other.refused
         if not other._hits.size:
             return
         if not self._cover(*other._box):
             self.refused += 1
             return
         window = self._window(*other._box)
+        if renewing:
+            looks = other._hits + other._misses.astype(np.int64)
+            beside = cv2.dilate(other._hits, np.ones((3, 3), dtype=np.uint8)) > 0
+            known = looks >= _RENEWED_BY
+            known &= ~beside | (other._hits >= _OCCUPIED_SHARE * looks)
+            self._hits[window][known] = self._misses[window][known] = 0
         self._hits[window] += other._hits
         self._misses[window] += other._misses
 

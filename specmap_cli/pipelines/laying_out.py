@@ -131,7 +131,8 @@ def _drawn(
     """The grid of all keyframes as laid out, how many lay beyond its limits, its `division_of`."""
     store, config = session.store, session.config
     with session.clock.stage("grids"):
-        counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
+        everything = range(len(store))
+        counts = integrate_keyframes(store, everything, layout.poses, config.grid, starts)
         whole, beyond = counts.snapshot(), counts.refused
         del counts  # of a large building they are most of the memory
         give_memory_back()

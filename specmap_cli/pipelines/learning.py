@@ -130,7 +130,8 @@ def submap_grids(
     grids = {}
     for id_, keyframes in track.submaps.items():
         poses = compose(invert(track.poses[keyframes[0]]), track.poses[keyframes])
-        grids[id_] = integrate_keyframes(track.store, keyframes, poses, config).snapshot()
+        counts = integrate_keyframes(track.store, keyframes, poses, config, track.starts)
+        grids[id_] = counts.snapshot()
         if progress is not None:
             progress.advance(len(keyframes))
     return grids
