@@ -73,11 +73,12 @@ def integrate_keyframes(
     often enough is as that one saw it.
     """
     whole = OccupancyGrid(config)
+    taken = list(zip(numbers, poses, strict=True))
     bounds = np.searchsorted(numbers, sorted(starts)).tolist()
-    for first, end in pairwise([0, *bounds, len(numbers)]):
+    for first, end in pairwise([0, *bounds, len(taken)]):
         grid = OccupancyGrid(config) if first else whole
         chosen = first + informative(poses[first:end])
-        add_keyframes(grid, store, [numbers[place] for place in chosen.tolist()], poses[chosen])
+        add_keyframes(grid, store, [taken[place][0] for place in chosen.tolist()], poses[chosen])
         if first:
             whole.include(grid, renewing=True)
     return whole

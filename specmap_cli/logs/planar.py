@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -268,8 +268,13 @@ def _of_neighbours(values: FloatArray, least: np.ufunc) -> FloatArray:
 # Odometry of a robot that stands still may tremble by this. Where it does, what repeats the scan
 # before says nothing new either.
 _STILL_M, _STILL_RAD = 0.02, math.radians(1.0)
+HUNG = (
+    "{} repeat the one before although odometry says that the robot moved, and were left out: the "
+    "driver of the laser hung"
+)
 
 
+@dataclass(slots=True)
 class Repeats:
     """Finds scans that repeat the one before them although odometry says that the robot moved.
 
@@ -277,9 +282,8 @@ class Repeats:
     laser makes two scans with the same readings unlikely even where nothing moves.
     """
 
-    def __init__(self) -> None:
-        self._ranges: FloatArray = np.zeros(0)
-        self._from: Pose2 | None = None  # where odometry had the robot at the first of those alike
+    _ranges: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _from: Pose2 | None = None  # where odometry had the robot at the first of those alike
 
     def stale(self, sweep: Sweep) -> bool:
         """Whether a scan is one that hangs; call for successive scans. Blank ones never are."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import index
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from specmap_cli.core.errors import InputError, MapError, instance_of, path_of
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config, LogConfig
-from specmap_cli.core.text import quoted
+from specmap_cli.core.text import counted, quoted
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
-from specmap_cli.logs.planar import ScanLeveller
+from specmap_cli.logs.planar import HUNG, Repeats, ScanLeveller
 from specmap_cli.maps.filenames import CLASSIFIERS, KEYFRAMES
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.recognition.features.sets import check_feature_sets
@@ -122,8 +122,10 @@ class Localizer:
         self._guide = Guide(classifiers, adjacency, walls, settings, with_walls=metric)
         self._front_end = FrontEnd(self.config.registration)
         self._metric, self._path = metric, stored.path
+        self.knows_its_walls = classifiers.misfit is not None  # how well its own scans fit them
         self._frames = {id_: room.map_from_room for id_, room in stored.rooms.items()}
         self._leveller: ScanLeveller | None = None
+        self._repeats, self._stale = Repeats(), 0
         self._scans = self._ahead_ns = 0
 
     def add(self, scan: Scan) -> LocalizedScan:
@@ -151,11 +153,25 @@ class Localizer:
             odom_from_base=None if scan.odometry is None else _pose(scan.odometry, "odometry"),
         )
         self._scans += 1
-        return self.told([self._guide.add(self._front_end.register(sweep))])[0]
+        return self.told([self._guide.add(self._registered(sweep))])[0]
 
     def located(self, sweeps: Iterable[Sweep]) -> Iterator[Where]:
         """Where the sweeps of a recording were taken, some of them read ahead."""
-        return self._guide.located(self._front_end.register(sweep) for sweep in sweeps)
+        return self._guide.located(map(self._registered, sweeps))
+
+    def _registered(self, sweep: Sweep) -> PosedScan:
+        """A sweep with its pose in the way. What a hanging driver repeats has no returns."""
+        if self._repeats.stale(sweep):
+            self._stale += 1
+            blank = replace(sweep.planar, ranges=np.full_like(sweep.planar.ranges, np.inf))
+            cloud, times_s = sweep.cloud, sweep.cloud_times_s
+            sweep = replace(
+                sweep,
+                planar=blank,
+                cloud=None if cloud is None else cloud[:0],
+                cloud_times_s=None if times_s is None else times_s[:0],
+            )
+        return self._front_end.register(sweep)
 
     def told(self, found: Sequence[Where], *, offline: bool = False) -> tuple[LocalizedScan, ...]:
         """What is known of scans; `offline` looks at all that were located, in hindsight."""
@@ -172,17 +188,13 @@ class Localizer:
         )
 
     @property
-    def knows_its_walls(self) -> bool:
-        """Whether the map tells how well its own scans fit its walls."""
-        return self._guide.classifiers.misfit is not None
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """What to know of the scans so far, and of the map."""
-        notes = [self._guide.note] if self._guide.note else []
+        notes = [HUNG.format(counted(self._stale, "scan"))] if self._stale else []
+        notes += [*self._front_end.warnings, *([self._guide.note] if self._guide.note else ())]
         if self._guide.classifiers.calibration is None:
             notes.append(f"{self._path}: {_NO_CALIBRATION}")
-        return (*self._front_end.warnings, *notes)
+        return tuple(notes)
 
 
 def _pose(given: Sequence[float], name: str) -> Pose2:

@@ -12,7 +12,7 @@ import numpy as np
 from specmap_cli.core.records import PosedScan, Trajectory
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
-from specmap_cli.logs.planar import Repeats
+from specmap_cli.logs.planar import HUNG, Repeats
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.session import Stopwatch
 from specmap_cli.registration.frontend import FrontEnd
@@ -80,15 +80,12 @@ def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedSca
             scans = front_end.take(sweep)
         yield from scans
     yield from front_end.rest()
-    hung = [
-        f"{counted(stale, 'scan')} repeat the one before although odometry says that the robot "
-        "moved, and were left out: the driver of the laser hung"
-    ]
+    hung = [HUNG.format(counted(stale, "scan"))] if stale else []
     return Tracking(
         counts={
             **{**stream.counts, **front_end.counts, "stale_scans": stale},
             "damage": len(stream.log.damage),
         },
-        warnings=(*stream.warnings, *(hung if stale else ()), *front_end.warnings),
+        warnings=(*stream.warnings, *hung, *front_end.warnings),
         seconds=clock.seconds.get("registration", 0.0),
     )

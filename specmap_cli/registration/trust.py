@@ -52,6 +52,7 @@ _REFUTES = 0.25
 
 _READING_M = 0.05  # error of a reading that is matched: neighbours err alike
 _LEAST_SHARE = 0.02  # of a motion expected that is worth a look
+_CLOSED_SHARE = 0.95  # of beams that return: walls close around such a scan
 _SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
 _ALIKE = 0.01  # scores this near speak for two places alike
 _SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
@@ -269,10 +270,13 @@ def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     here, by_motion = fit.planar, guess.by_motion
     forward = np.array([np.cos(here.theta), np.sin(here.theta)])
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
-    if abs(behind) < _SLIP_M:
+    ranges = scene.view.planar.ranges
+    closed = np.count_nonzero(np.isfinite(ranges)) >= _CLOSED_SHARE * len(ranges)
+    if closed and abs(behind) < _SLIP_M:
         return fit
     along, _ = _carried_along(scene, guess, fit)
-    if along is not fit:
+    # however little: in a corridor that ends beyond the range it adds up
+    if along is not fit or abs(behind) < _SLIP_M:
         return along
     for share in _SHARES:
         place = here @ Pose2(share * behind, 0.0, 0.0)

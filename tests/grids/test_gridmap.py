@@ -393,6 +393,20 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
 
 
+@pytest.mark.parametrize(
+    ("later", "looks", "is_wall"),
+    [(2.0, 7, True), (2.0, 8, False), (1.0 + CELL, 8, True), (0.5, 8, True)],
+)
+def test_what_was_looked_at_often_enough_is_as_it_was_seen_last(
+    later: float, looks: int, is_wall: bool
+) -> None:
+    """A wall a metre ahead that is gone, or hit a cell behind it, or hidden."""
+    grid = counts_of([(ahead(1.0), IDENTITY)] * 40)
+    grid.include(counts_of([(ahead(later), IDENTITY)] * looks), renewing=True)
+    seen = grid.snapshot().values_at(np.array([[1.0, 0.0], [later, 0.0]]))
+    assert seen.tolist() == [OCCUPIED if is_wall else FREE, OCCUPIED]
+
+
 @given(planar_scans(), poses, st.floats(0.0, 9.0))
 def test_the_part_near_places_is_cut_from_all(scan: PlanarScan, pose: Pose2, reach: float) -> None:
     grid = gridded([scan], [pose])

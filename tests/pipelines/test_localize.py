@@ -18,6 +18,8 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines import localize, localizer
@@ -93,6 +95,22 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
         place = frame @ a.submap_from_base
         assert math.dist(place[:2], (map_from_track @ a.track_from_base)[:2]) < 0.6
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
+
+
+def test_scans_that_a_hanging_driver_repeats_have_no_pose(own_log: Path, flat_map: Map) -> None:
+    guide = localizer.Localizer(flat_map)
+    with open_log([own_log], guide.config.log) as log:
+        sweeps = list(SweepStream(log, guide.config.log))
+    held = sweeps[59].planar.ranges
+    for k in range(60, 100):
+        sweeps[k] = replace(sweeps[k], planar=replace(sweeps[k].planar, ranges=held))
+    fixes = [scan.fix is not None for scan in guide.told(list(guide.located(sweeps)))]
+    assert all(fixes[40:60])
+    assert not any(fixes[65:100])
+    assert np.mean(fixes[120:]) > 0.95
+    repeated = int(guide.warnings[0].partition(" ")[0])
+    assert 35 <= repeated <= 40
+    assert "the driver of the laser hung" in guide.warnings[0]
 
 
 def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Map) -> None:

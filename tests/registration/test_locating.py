@@ -302,6 +302,19 @@ def with_beams(scene: Scene) -> Scene:
     return replace(scene, view=replace(scene.view, planar=planar))
 
 
+@pytest.mark.parametrize(("every", "way_m"), [(1000, 0.0), (10, 0.03)])
+def test_where_beams_do_not_return_odometry_tells_the_least_bit_of_way(
+    every: int, way_m: float
+) -> None:
+    scene = with_beams(scene_in_corridor())
+    ranges = scene.view.planar.ranges.copy()
+    ranges[::every] = np.inf
+    planar = replace(scene.view.planar, ranges=ranges)
+    scene = replace(scene, view=replace(scene.view, planar=planar))
+    found = locate(scene, IDENTITY, expecting(), Pose2(0.03, 0.0, 0.0)).fit.planar
+    assert found.x == pytest.approx(way_m, abs=1e-9)
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.4, -2.0])
 @pytest.mark.parametrize(("end_m", "carried"), [(None, True), (4.0, False)])
 def test_without_odometry_the_motion_goes_on_along_a_bare_corridor_and_only_there(

@@ -221,7 +221,13 @@ class MapWalls:
         off = 1.0 - np.asarray(self.field.at(placed), dtype=np.float64)
         cells, clear = self.grid.values_at(placed), off > _OFF
         front = clear & (cells == FREE)
-        front &= ~_is_long(placed, front)
+        # a thing in front of walls, its points in order of bearing, that is as long as a wall
+        steps = np.hypot(*np.diff(placed, axis=0).T)
+        goes_on = front[1:] & front[:-1] & (steps < _GAP_M)
+        first = np.flatnonzero(np.concatenate([[True], ~goes_on]))
+        last = np.append(first[1:], len(placed)) - 1
+        width = np.hypot(*(placed[last] - placed[first]).T)
+        front &= ~np.repeat(width > _BODY_M, last - first + 1)
         off[front] *= _FRONT_WEIGHT
         off[clear & (cells == UNKNOWN)] *= _UNSEEN_WEIGHT
         return float(np.mean(off)), float(np.mean(front))
@@ -281,13 +287,3 @@ def placed(store: KeyframeStore, numbers: Iterable[int], poses: FloatArray) -> I
     """Some keyframes of a map at their `poses` (n, 3) in it."""
     for k, pose in zip(numbers, poses.tolist(), strict=True):
         yield replace(store.posed(k), map_from_base=Pose2(*pose))
-
-
-def _is_long(points: FloatArray, chosen: BoolArray) -> BoolArray:
-    """(N,) which `chosen` points (N, 2), in order of bearing, are of a thing as long as a wall."""
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    goes_on = chosen[1:] & chosen[:-1] & (steps < _GAP_M)
-    first = np.flatnonzero(np.concatenate([[True], ~goes_on]))
-    last = np.append(first[1:], len(points)) - 1
-    width = np.hypot(*(points[last] - points[first]).T)
-    return np.repeat(width > _BODY_M, last - first + 1)
