@@ -13,20 +13,28 @@ import pytest
 
 from specmap_cli import read_map
 from specmap_cli.core.errors import InputError, MapError, NoResultError, UsageError
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
+from specmap_cli.pipelines.laying_out import with_grid
+from specmap_cli.pipelines.learning import submap_grids
+from specmap_cli.pipelines.localizer import settings_for
+from specmap_cli.pipelines.map_in_making import laid_out_of_stored
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.overlaps import PairOfMaps
 from specmap_cli.pipelines.reports import MergeReport, UpdateReport
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import build_like, update_map
 from specmap_cli.recognition.closure.alignment import Alignment
+from specmap_cli.recognition.learning.sampling import Track
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
@@ -34,6 +42,7 @@ from specmap_cli.topology.topological_map import driven_m
 from tests.flats import QUICK, Mapped, forget_digests, mapped
 from tests.maps.conftest import edit
 from tests.pipelines.conftest import day
+from tests.turning import turned
 
 
 @dataclass(frozen=True)
@@ -176,6 +185,28 @@ def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> Non
     assert kept.new.record.graph.next_id == 8
     assert kept.new.topology.submaps[7].grid.free_area_m2 > 5.0
     assert any(7 in (edge.source, edge.target) for edge in kept.new.record.edges)
+
+
+def test_what_the_second_recording_looked_at_is_drawn_as_it_saw_it(kept: Kept) -> None:
+    """As if the building stood 0.3 m farther on by then: the old walls are looked through."""
+    laid = laid_out_of_stored(kept.new)
+    second = np.arange(kept.first_new, len(laid))
+    poses = laid.layout.poses.copy()
+    poses[second, :2] += 0.3
+    laid = replace(laid, layout=replace(laid.layout, poses=poses))
+    one_room = replace(laid.labels, poses=poses, submaps=np.zeros(len(laid), dtype=np.int64))
+    shares = []
+    for looks in (8, 10**6):  # as many tell how a cell is now; the second says that none does
+        with turned("grids.occupancy", _RENEWED_BY=looks), kept.new.scans() as store:
+            session = Session(settings_for(kept.new, {}), store, Silent())
+            config = session.config.grid
+            alone = integrate_keyframes(store, second.tolist(), poses[second], config).snapshot()
+            walls = alone.centres_of(np.argwhere(alone.occupied))
+            room = submap_grids(Track.of(store, one_room, laid.starts), config)[0]
+            whole, in_room = with_grid(session, laid).whole, Pose2(*poses[0]).inverse().apply(walls)
+            drawn = whole.values_at(walls), room.values_at(in_room)
+            shares.append([float(np.mean(cells == OCCUPIED)) for cells in drawn])
+    assert np.greater(shares[0], np.add(shares[1], 0.03)).all(), shares
 
 
 def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Kept) -> None:
