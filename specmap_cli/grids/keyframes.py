@@ -1,7 +1,7 @@
 """Keyframes: which scans go on to mapping, their store on disk, and which a map can do without.
 
 Every scan is registered. Only those taken after the robot moved or turned are kept, and their
-readings go to a temporary file: in memory a keyframe takes 64 bytes, however many beams its scan
+readings go to a temporary file: in memory a keyframe takes 80 bytes, however many beams its scan
 has.
 
 A place is shown well by as many scans as it takes for every cell of a surface to be hit, as far as
@@ -123,13 +123,14 @@ class _Laser:
 class KeyframeStore:
     """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
 
-    Memory grows by 64 bytes a keyframe, not by its beams.
+    Memory grows by 80 bytes a keyframe, not by its beams.
     """
 
     def __init__(self) -> None:
         with temporary_files():
             self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
-        self._stamps_ns, self._poses, self._guessed = array("q"), array("d"), array("d")
+        self._stamps_ns, self._poses = array("q"), array("d")
+        self._guessed, self._slacks = array("d"), array("d")
         # readings of each in the file, bearings and then ranges: where they begin, and their bytes
         self._begins, self._bytes = array("q"), array("q")
         self._lasers: dict[_Laser, _Laser] = {}  # one of equal ones
@@ -147,6 +148,7 @@ class KeyframeStore:
         self._stamps_ns.append(scan.stamp_ns)
         self._poses.extend(scan.map_from_base)
         self._guessed.extend(scan.guessed_m)
+        self._slacks.extend(scan.odometry_slacks)
         self._bytes.append(readings.nbytes)
         self._laser_of.append(self._lasers.setdefault(laser, laser))
         return len(self) - 1
@@ -167,6 +169,7 @@ class KeyframeStore:
         self._laser_of = [self._laser_of[number] for number in numbers.tolist()]
         self._poses = array("d", np.ascontiguousarray(poses).tobytes())
         self._guessed = array("d", self.guessed_m[numbers].tobytes())
+        self._slacks = array("d", self.odometry_slacks[numbers].tobytes())
 
     def __len__(self) -> int:
         return len(self._stamps_ns)
@@ -180,6 +183,11 @@ class KeyframeStore:
     def guessed_m(self) -> FloatArray:
         """(n, 2) how far off what was guessed up to each keyframe may be, see `PosedScan`."""
         return np.array(self._guessed).reshape(-1, 2)
+
+    @property
+    def odometry_slacks(self) -> FloatArray:
+        """(n, 2) how far odometry may be off at each keyframe, see `PosedScan`."""
+        return np.array(self._slacks).reshape(-1, 2)
 
     @property
     def stamps_ns(self) -> IntArray:
@@ -215,6 +223,7 @@ class KeyframeStore:
             planar=self.scan(number),
             base_from_laser=self.base_from_laser(number),
             guessed_m=(self._guessed[2 * number], self._guessed[2 * number + 1]),
+            odometry_slacks=(self._slacks[2 * number], self._slacks[2 * number + 1]),
         )
 
     def base_from_laser(self, number: int) -> Pose2:

@@ -23,6 +23,7 @@ from specmap_cli.core.geometry import (
     moved,
     step_lengths,
 )
+from specmap_cli.core.odometry import SIGMAS, unknown_slack
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
@@ -174,7 +175,8 @@ def motion_links(
         if end not in known:
             known[end] = observability(store.points(end, MATCH_RANGE_M), _RANGE_NOISE_M)
     fisher = [np.zeros((3, 3)) if end in breaks else known[end] for end in ends]
-    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3), back[:, :2])
+    slacks = store.odometry_slacks[nodes[1:]]
+    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3), slacks, back[:, :2])
     links = []
     for k, (source, end) in enumerate(zip(nodes[:-1].tolist(), ends, strict=True)):
         kind: LinkKind = "odometry"
@@ -195,18 +197,22 @@ def motion_links(
 
 
 def step_information(
-    steps: Sequence[Pose2], fisher: FloatArray, guessed_m: FloatArray
+    steps: Sequence[Pose2], fisher: FloatArray, slacks: FloatArray, guessed_m: FloatArray
 ) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place. By `guessed_m` (L, 2)
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place, `slacks` (L, 2) what
+    odometry is worth there, see `PosedScan`. By `guessed_m` (L, 2)
     each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
     and not their squares: each counts for more, the more there are in a row.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
     sigmas = np.column_stack([position, position, angle])
-    noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + GUESS_INFORMATION)
+    unknown = [unknown_slack(step) for step in steps]
+    wheels = slacks * [(slack.along_m, slack.turn_rad) for slack in unknown] / SIGMAS
+    told = np.minimum(wheels, (GUESS_M, _GUESS_RAD))[:, [0, 0, 1], None]
+    noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + np.eye(3) / told**2)
     sizes = np.hypot(guessed_m[:, 0], guessed_m[:, 1])
     for start, end in runs(sizes > 0.0):
         if sizes[start]:

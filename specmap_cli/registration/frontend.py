@@ -12,19 +12,20 @@ Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in spac
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, product
+from specmap_cli.core.odometry import SHARE_OF_DISTANCE, SIGMAS
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
 from specmap_cli.registration.aligner import SensorKind, aligner_factory
 from specmap_cli.registration.guess import (
     SEARCH_RAD,
-    SIGMAS,
     UNKNOWN,
     ExpectedMotion,
     MotionGuess,
@@ -170,6 +171,7 @@ class FrontEnd:
             restarted=restarted,
             bridge=track.bridge(self.config) if restarted else None,
             guessed_m=self._track.guessed_m,
+            odometry_slacks=track.odometry_slacks,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=judgement.fit.pose if in_space else None,
         )
@@ -295,7 +297,10 @@ class Track:
         if step is not None and np.hypot(*loose) < _GUESSED:
             steady = (*steady, step)[-_STEADY:]
         way = (judgement.fit.pose - self.pose)[:2, 3]
-        x, y = (self.guessed_m + _CARRIED * float(loose @ way) * loose).tolist()
+        share = _CARRIED
+        if self.measured:
+            share = SHARE_OF_DISTANCE * self.reliance.limits.along_m / SIGMAS
+        x, y = (self.guessed_m + share * float(loose @ way) * loose).tolist()
         return replace(self, steady=steady, guessed_m=(x, y))
 
     def bridge(self, config: RegistrationConfig) -> tuple[float, float] | None:
@@ -311,6 +316,14 @@ class Track:
             place_m = max(place_m, config.max_shift_m)
             turn_rad = max(turn_rad, SEARCH_RAD)
         return place_m / SIGMAS, turn_rad / SIGMAS
+
+    @property
+    def odometry_slacks(self) -> tuple[float, float]:
+        """Slacks of an unknown odometry by which this one may be off: its place, and its turn."""
+        limits = self.reliance.limits
+        if not self.measured:
+            return math.inf, math.inf
+        return max(limits.along_m, limits.across_m), limits.turn_rad
 
     def is_carried(self, config: RegistrationConfig) -> bool:
         """Whether odometry alone tells the place well enough to go on with it.

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product, wrap_angle
+from specmap_cli.core.odometry import SIGMAS, Slack, unknown_slack
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window, observability
@@ -26,13 +27,8 @@ _HOLE = 2.0  # an interval so much longer than all of these but one is a hole in
 _CARRIED_S = 1.0  # a longer one is none to go on in: at 1 m/s^2 a robot is 0.5 m off by then
 _FASTER = 1.5  # of the largest motion seen, and no more, may be carried on: robots speed up
 
-# What wheels on hard floors err at most, about twice what they do: metres and radians at rest, and
-# shares of the way and of the turn. The turn also errs with the way, as wheels of unequal size do.
-_LEAST_M, _LEAST_RAD = 0.05, 0.03
-_SHARE_OF_DISTANCE, _SHARE_OF_TURN, _TURN_PER_M = 0.2, 0.3, 0.03
 _REMEMBERED = 60  # latest deviations that count: some 20 m and more, so that a new floor shows
 _PRIOR = 12  # deviations that an unknown odometry is taken to have had: they wear off slowly
-SIGMAS = 3.0  # of a deviation that still agrees: a slack is so many
 _QUANTILE, _QUANTILE_SIGMAS = 0.8, 1.2816  # of |z| for a normal z: a fifth may be wrong
 _NARROWEST, _WIDEST = 0.5, 3.0  # slacks: registration itself errs by as much; a third is no measure
 _WORTHLESS = 1.5  # slacks from which on odometry is worth less than was supposed of it
@@ -186,20 +182,6 @@ class MotionModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Slack:
-    """How far a motion may be from odometry's and still agree: metres, metres and radians."""
-
-    along_m: float
-    across_m: float
-    turn_rad: float
-
-    @property
-    def place_m(self) -> float:
-        """How far that is in the plane."""
-        return math.hypot(self.along_m, self.across_m)
-
-
-@dataclass(frozen=True, slots=True)
 class Reliance:
     """The latest deviations from odometry, in slacks of an unknown odometry; never changed.
 
@@ -231,7 +213,7 @@ class Reliance:
 
     def slack(self, motion: Pose2) -> Slack:
         """How far the truth can be from a motion that odometry measured."""
-        unknown = _unknown(motion)
+        unknown = unknown_slack(motion)
         return Slack(
             along_m=self.limits.along_m * unknown.along_m,
             across_m=self.limits.across_m * unknown.across_m,
@@ -281,17 +263,10 @@ def _in_slacks(motion: Pose2, away: Pose2) -> tuple[float, float, float]:
 
     Along the way, across it, and in turn.
     """
-    unknown, (x, y) = _unknown(motion), direction_of(motion)
+    unknown, (x, y) = unknown_slack(motion), direction_of(motion)
     along, across = away.x * x + away.y * y, away.y * x - away.x * y
     turn = wrap_angle(away.theta) / unknown.turn_rad
     return along / unknown.along_m, across / unknown.across_m, turn
-
-
-def _unknown(motion: Pose2) -> Slack:
-    """The slack of an odometry of which nothing is known."""
-    metres = _LEAST_M + _SHARE_OF_DISTANCE * motion.distance
-    turn = _LEAST_RAD + _SHARE_OF_TURN * abs(motion.theta) + _TURN_PER_M * motion.distance
-    return Slack(along_m=metres, across_m=metres, turn_rad=turn)
 
 
 UNKNOWN = Reliance()  # nothing was compared yet

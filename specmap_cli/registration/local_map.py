@@ -40,6 +40,7 @@ _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a w
 # their result is in doubt.
 QUICK_KERNEL_VOXELS = (1.5, 0.25)
 _NARROW_RAD = math.radians(170.0)  # lasers that see half a circle end a beam or two before it
+_FEW_RAD = 0.5  # of walls in sight: half of what the narrowest depth cameras span
 _COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full convergence
 _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
 
@@ -208,9 +209,16 @@ class Scene:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether the sweep is planar and less than half a circle, as depth cameras make them."""
-        bearings = self.view.planar.bearings
-        return not self.local.sensor.in_space and bool(np.ptp(bearings) < _NARROW_RAD)
+        """Whether the sweep is planar, and shows no more walls than one of a depth camera.
+
+        It spans less than half a circle, or few of its beams return.
+        """
+        if self.local.sensor.in_space:
+            return False
+        planar = self.view.planar
+        spanned = float(np.ptp(planar.bearings))
+        returned = float(np.isfinite(planar.ranges).mean())
+        return spanned < _NARROW_RAD or spanned * returned < _FEW_RAD
 
     def score(self, place: Pose2) -> float:
         """How well, in [0, 1], the sweep's walls lie on the map's when the base is at a place."""

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.odometry import SIGMAS
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.guess import (
     BEYOND_DOUBT,
-    SIGMAS,
     MotionGuess,
     near_window,
     wide_search,

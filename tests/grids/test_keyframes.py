@@ -58,6 +58,21 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
             np.testing.assert_allclose(store.points(number, 3.0), hits, atol=1e-4)
 
 
+def test_what_registration_was_unsure_of_is_kept() -> None:
+    scans = [
+        replace(at(float(k)), guessed_m=(0.1 * k, -0.2 * k), odometry_slacks=(0.5, float(k)))
+        for k in range(3)
+    ]
+    with KeyframeStore() as store, KeyframeStore() as other:
+        for scan in scans:
+            store.append(scan)
+        store.append(at(3.0))
+        store.keep(np.array([0, 2, 3]), store.poses_of([0, 2, 3]))
+        other.extend(store)
+        assert other.guessed_m.tolist() == [[0.0, 0.0], [0.2, -0.4], [0.0, 0.0]]
+        assert other.odometry_slacks.tolist() == [[0.5, 0.0], [0.5, 2.0], [np.inf, np.inf]]
+
+
 def test_a_store_is_read_while_it_grows() -> None:
     """Scans without a beam are among them."""
     with KeyframeStore() as store:

@@ -10,12 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.odometry import SIGMAS
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (
     _NODE_RAD,
     _RANGE_NOISE_M,
     GUESS_INFORMATION,
+    GUESS_M,
     LOOP_PATH_M,
     NODE_M,
     chosen_nodes,
@@ -29,6 +32,8 @@ from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
 
 NOTHING = np.zeros((0, 2))
+UNMEASURED = (np.inf, np.inf)
+BLIND = PlanarScan(0, np.array([0.0, 0.1]), np.full(2, np.inf), 10.0, False)
 
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
@@ -81,17 +86,38 @@ def test_rows_to_look_from_are_first_past_a_stretch(steps: list[float], every_m:
 
 
 def spread_of(
-    step: Pose2, points: FloatArray, guessed_m: tuple[float, float] = (0.0, 0.0)
+    step: Pose2,
+    points: FloatArray,
+    guessed_m: tuple[float, float] = (0.0, 0.0),
+    slacks: tuple[float, float] = UNMEASURED,
 ) -> FloatArray:
     """Covariance of one motion that ends where these points are seen, some of it guessed."""
     fisher = observability(points, _RANGE_NOISE_M)[None]
-    return np.asarray(np.linalg.inv(step_information([step], fisher, np.array([guessed_m]))[0]))
+    known = step_information([step], fisher, np.array([slacks]), np.array([guessed_m]))
+    return np.asarray(np.linalg.inv(known[0]))
 
 
 def test_a_guess_is_told_along_its_own_direction() -> None:
     step = Pose2(0.3, 0, 0)
     guessed, measured = spread_of(step, outline(1), (0.3, 0.4)), spread_of(step, outline(1))
     assert np.allclose((guessed - measured)[:2, :2], np.outer((0.3, 0.4), (0.3, 0.4)))
+
+
+def test_without_walls_a_motion_errs_as_the_odometry_that_measured_it() -> None:
+    """No more than a guess at the worst; and each step of a store by what it was worth there."""
+    step = Pose2(0.3, 0.0, 0.0)
+    for slacks, sigmas in (((0.5, 2.0), (0.055, 0.078)), ((30.0, 30.0), (0.9, 0.6))):
+        place, turn = np.minimum(np.array(sigmas) / SIGMAS, (GUESS_M, 0.2))
+        spread = np.diag(spread_of(step, NOTHING, slacks=slacks))
+        assert spread[:2] == pytest.approx(place**2 + 0.019**2)
+        assert spread[2] == pytest.approx(turn**2 + 0.003**2)
+    blind = replace(posed(0), planar=BLIND, map_from_base=IDENTITY)
+    on = replace(blind, map_from_base=step, odometry_slacks=(0.5, 2.0))
+    with store_of([blind, on, replace(blind, map_from_base=step @ step)]) as some:
+        motions = graph_of(some, [], {}).odometry
+    told, guessed = (np.linalg.inv(motion.information) for motion in motions)
+    assert np.allclose(told, spread_of(step, NOTHING, slacks=(0.5, 2.0)))
+    assert np.allclose(guessed, spread_of(step, NOTHING))
 
 
 def outline(seed: int) -> FloatArray:
@@ -159,7 +185,8 @@ def test_guesses_in_a_row_err_in_one_way_and_others_do_not(sizes: list[float]) -
     row = [(size, 0.0) for size in sizes]
     steps = [Pose2(0.3, 0, 0.5)] * (2 * len(row) + 1)
     fisher = np.repeat(1e15 * np.eye(3)[None], len(steps), axis=0)
-    spread = np.linalg.inv(step_information(steps, fisher, np.array([*row, (0.0, 0.0), *row])))
+    slacks, guessed_m = np.full((len(steps), 2), np.inf), np.array([*row, (0.0, 0.0), *row])
+    spread = np.linalg.inv(step_information(steps, fisher, slacks, guessed_m))
     grown = spread[:, 0, 0] - 0.019**2
     for stretch in (grown[: len(row)], grown[-len(row) :]):
         assert stretch.sum() == pytest.approx(sum(sizes) ** 2)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.odometry import SIGMAS
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LogConfig, RegistrationConfig
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
@@ -19,7 +20,7 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.frontend import COUNTS, Track
-from specmap_cli.registration.guess import SEARCH_RAD, SIGMAS
+from specmap_cli.registration.guess import SEARCH_RAD, Reliance
 from specmap_cli.registration.local_map import Fit
 from specmap_cli.registration.trust import Judgement
 from tests.registration.aligners import ToldAligner, offer
@@ -59,7 +60,7 @@ def test_what_a_depth_camera_leaves_open_odometry_tells(world: GridMap) -> None:
     draws = [sweeps(world, truth := path(), 1.0, 160, 4.0, seed=seed) for seed in range(3)]
     errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
     assert np.less(errors, (0.15, 0.04)).all()
-    with constants("registration.local_map", _NARROW_RAD=0.0):
+    with constants("registration.local_map", _NARROW_RAD=0.0, _FEW_RAD=0.0):
         errors = np.mean([worst(run(items)[1], truth) for items in draws], axis=0)
     assert np.greater(errors, (0.25, 0.1)).all()
 
@@ -285,7 +286,7 @@ def test_the_motion_carried_on_is_the_usual_one_straight_on() -> None:
 
 def test_what_was_guessed_adds_up_and_says_little_of_the_next_motion() -> None:
     """A metre at a time along x; walls fix two fifths of the first one, and nearly all later."""
-    track = Track()
+    track = Track(measured=False)
     for x, loose in ((1.0, 0.6), (2.0, 0.0), (3.0, 0.1)):
         fit = Fit(pose=Pose2(x, 0.0, 0.0).matrix(), score=0.9)
         track = track.guessing(Judgement(fit=fit, loose=np.array([loose, 0.0])), Pose2(x, 0.0, 0.0))
@@ -293,6 +294,17 @@ def test_what_was_guessed_adds_up_and_says_little_of_the_next_motion() -> None:
     assert track.guessed_m == pytest.approx((0.2 * (0.36 + 0.01), 0.0))
     assert track.steady == (Pose2(2.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0))
     assert track.guessing(Judgement(fit=fit), None).steady == track.steady, "too few walls"
+
+
+def test_what_wheels_measured_along_open_walls_errs_as_they_do() -> None:
+    moved_on = Fit(pose=Pose2(1.0, 0.0, 0.0).matrix(), score=0.9)
+    judgement = Judgement(fit=moved_on, loose=np.array([1.0, 0.0]))
+    good = Reliance(along=(0.01,) * 60)
+    for track, sigma_m in ((Track(), 0.2 / SIGMAS), (Track(reliance=good), 0.1 / SIGMAS)):
+        assert track.guessing(judgement, None).guessed_m == pytest.approx((sigma_m, 0.0))
+        limits = track.reliance.limits
+        assert track.odometry_slacks == (max(limits.along_m, limits.across_m), limits.turn_rad)
+    assert Track(measured=False).odometry_slacks == (np.inf, np.inf)
 
 
 def test_what_is_said_of_a_limit() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, Reliance, best_guess
 from specmap_cli.registration.local_map import Fit, Scene
@@ -198,6 +199,20 @@ def test_of_a_narrow_sweep_points_count_and_not_their_share(
         located = locate(scene, IDENTITY, expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
     assert located.overrules == found
     assert located.fit.planar.theta == pytest.approx(0.3 if found else 0.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("view_rad", "share", "narrow"),
+    [(1.2, 1.0, True), (np.pi, 1.0, False), (6.2, 0.1, False), (6.2, 0.05, True), (6.2, 0.0, True)],
+)
+def test_a_laser_whose_beams_hardly_return_is_as_narrow_as_a_camera(
+    view_rad: float, share: float, narrow: bool
+) -> None:
+    bearings = np.linspace(-view_rad / 2, view_rad / 2, 400)
+    ranges = np.where(np.arange(400) < share * 400, 2.0, np.inf)
+    scene = scene_of(box(0.0), box(0.0), ToldAligner())
+    view = replace(scene.view, planar=PlanarScan(0, bearings, ranges, 6.0, False))
+    assert replace(scene, view=view).is_narrow == narrow
 
 
 def corridor(length_m: float, end_m: float | None = None) -> FloatArray:
