@@ -130,8 +130,8 @@ class OccupancyGrid:
             known = looks >= _RENEWED_BY
             known &= ~beside | (other._hits >= _OCCUPIED_SHARE * looks)
             self._hits[window][known] = self._misses[window][known] = 0
-        self._hits[window] += other._hits
-        self._misses[window] += other._misses
+        for counts, more in ((self._hits, other._hits), (self._misses, other._misses)):
+            counts[window] = cv2.add(counts[window], more)  # which stops at the most
 
     def without(self, part: OccupancyGrid) -> OccupancyGrid:
         """What was counted besides `part`, a grid of some of the same scans; it may be smaller.

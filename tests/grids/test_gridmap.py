@@ -393,6 +393,15 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
 
 
+def test_what_was_seen_for_years_is_not_forgotten() -> None:
+    """64 looks, doubled ten times, are one more than a count can hold."""
+    grid = counts_of([(ahead(1.0), IDENTITY)] * 64)
+    before = known(grid.snapshot())
+    for _ in range(11):
+        grid.include(grid)
+    assert known(grid.snapshot()) == before
+
+
 @pytest.mark.parametrize(
     ("later", "looks", "is_wall"),
     [(2.0, 7, True), (2.0, 8, False), (1.0 + CELL, 8, True), (0.5, 8, True)],
