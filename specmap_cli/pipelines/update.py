@@ -65,7 +65,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import inherited
+from specmap_cli.topology.graph import inherited, walled_off
 from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -262,8 +262,10 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     poses, least_m = joint.layout.poses, config.segmentation.region_min_m
     divided = regions_of(laid.whole, laid.division.array, poses, least_m)
     submaps = inherited(old.labels, old.regions, old.next_id, poses, divided, least_m)
-    labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(old.next_id, 1 + int(submaps.max()))
+    submaps = walled_off(submaps, poses, old.regions, laid.whole, next_id, least_m)
+    labels = replace(laid.labels, submaps=submaps[fewer.left])
+    next_id = max(next_id, 1 + int(submaps.max()))
     return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))
 
 

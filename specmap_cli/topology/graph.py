@@ -15,15 +15,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import runs
+from specmap_cli.core.arrays import runs, windows_of
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths, travelled
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray, Labels
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap, clearance_of, nearest_values
 from specmap_cli.topology.regions import NOBODY, Pair, Regions
 from specmap_cli.topology.topological_map import (
     Break,
@@ -38,6 +39,7 @@ from specmap_cli.topology.topological_map import (
 
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
+_LEAK = 1.5  # cells: a gap beside a wall that is no wider is a beam's
 
 Span = tuple[int, int]
 
@@ -224,6 +226,42 @@ def inherited(
     labels[count:] = settle_labels(own, poses[count:], region_min_m)
     new = labels >= next_id
     labels[new] = next_id + by_appearance(labels[new])  # new ids have no gaps
+    return labels
+
+
+def walled_off(
+    labels: IntArray, poses: FloatArray, old: Regions, grid: GridMap, next_id: int, least_m: float
+) -> IntArray:
+    """The submap (m,) of each keyframe at `poses` (m, 3), where walls cut no submap in two.
+
+    `old` are the submaps as they were, `grid` is the map as it is now. What a submap had as one
+    piece of floor and has as several, each with `least_m` of way or more, are several submaps: that
+    with the most way keeps the id, the others get new ones from `next_id` on.
+    """
+    labels = labels.copy()
+    there = old.grid.centres_of(np.argwhere(old.owner != NOBODY))
+    clear = np.zeros(old.owner.shape, dtype=np.bool_)
+    roomy = clearance_of(grid.free) > _LEAK
+    clear[old.owner != NOBODY] = grid.under(there, roomy, False)
+    was_clear = clearance_of(old.grid.free) > _LEAK
+    for id_, window in windows_of(old.owner).items():
+        floor = (old.owner[window] == id_) & was_clear[window]
+        before, now = (
+            cv2.connectedComponents(part.astype(np.uint8), connectivity=4)[1]
+            for part in (floor, floor & clear[window])
+        )
+        mine = np.flatnonzero(labels == id_)
+        corner = [part.start for part in window]
+        cells = np.clip(old.grid.cells_of(poses[mine, :2]) - corner, 0, np.array(now.shape) - 1)
+        whole, piece = (nearest_values(part)[0][tuple(cells.T)] for part in (before, now))
+        way_m = _driven_m(piece, poses[mine])
+        most = dict[int, int]()  # the piece that goes on, of each that was there
+        for part in sorted(way_m, key=lambda part: way_m[part]):
+            most[int(whole[piece == part][0])] = part
+        for part, driven_m in way_m.items():
+            if driven_m >= least_m and most[int(whole[piece == part][0])] != part:
+                labels[mine[piece == part]] = next_id
+                next_id += 1
     return labels
 
 
