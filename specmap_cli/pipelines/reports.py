@@ -134,12 +134,14 @@ class UpdateReport(MapReport):
     """What `update` did, and which submaps are new.
 
     `visited` are the ids of the old map's submaps that the recording came to; `borders` tells what
-    became of all of them; `dropped` older keyframes were let go since newer ones show the same.
+    became of all of them; `cut_off` are the parts that a wall cuts off from some of them now;
+    `dropped` older keyframes were let go since newer ones show the same.
     """
 
     alignment: Alignment
     visited: tuple[int, ...]
     new: tuple[int, ...]
+    cut_off: tuple[int, ...]
     borders: tuple[BorderChange, ...]
     dropped: int = 0
 
@@ -156,6 +158,7 @@ class UpdateReport(MapReport):
             "old_from_new": None if motion is None else list(motion),
             "visited": list(self.visited),
             "new": list(self.new),
+            "cut_off": list(self.cut_off),
             "borders_moved": [
                 {
                     "submap": change.submap,
@@ -182,7 +185,7 @@ class UpdateReport(MapReport):
             f"{counted(counts['submaps'], 'submap')}: "
             f"{len(self.visited)} visited again, {len(self.new)} new{ids}; "
             f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m",
-            *(_words(change, self.new) for change in self.moved),
+            *(_words(change, self.new, self.cut_off) for change in self.moved),
             *([dropped] if self.dropped else []),
         ]
 
@@ -192,12 +195,14 @@ def _areas(areas: Mapping[int, float]) -> list[dict[str, Any]]:
     return [{"submap": None if i == NOBODY else i, "m2": m2} for i, m2 in areas.items()]
 
 
-def _words(change: BorderChange, new: Sequence[int]) -> str:
+def _words(change: BorderChange, new: Sequence[int], cut_off: Sequence[int]) -> str:
     """How a border moved, and why: `new` are the submaps that were entered for the first time."""
     entered = {i: m2 for i, m2 in change.given.items() if i in new}
-    lost = {i: m2 for i, m2 in change.given.items() if i not in new}
+    walled = {i: m2 for i, m2 in change.given.items() if i in cut_off}
+    lost = {i: m2 for i, m2 in change.given.items() if i not in (*new, *cut_off)}
     whys = [
         _part(entered, "that were only looked into are in {}, entered now"),
+        _part(walled, "are in {}, cut off by a wall now"),
         _part(lost, "are in {} now"),
         _part(change.taken, "of {} are in it now"),
     ]

@@ -114,14 +114,15 @@ def update_map(
         updates = [*(earlier if isinstance(earlier, list) else []), last]
         run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
     before, visits = np.split(finished.laid.labels.submaps, [fewer.old])
-    ids = set(before.tolist())
+    ids, old_ids = set(before.tolist()), set(stored.ids)
     return UpdateReport(
         out=target,
         run=run,
         quality=finished.quality,
         alignment=alignment,
-        visited=tuple(sorted(set(visits.tolist()) & ids)),
+        visited=tuple(sorted(set(visits.tolist()) & old_ids)),
         new=tuple(sorted(set(visits.tolist()) - ids)),
+        cut_off=tuple(sorted(ids - old_ids)),
         borders=border_changes(old.regions, finished.laid.regions),
         dropped=fewer.dropped,
         unapplied=finished.unapplied,

@@ -239,28 +239,26 @@ def walled_off(
     with the most way keeps the id, the others get new ones from `next_id` on.
     """
     labels = labels.copy()
-    there = old.grid.centres_of(np.argwhere(old.owner != NOBODY))
-    clear = np.zeros(old.owner.shape, dtype=np.bool_)
-    roomy = clearance_of(grid.free) > _LEAK
-    clear[old.owner != NOBODY] = grid.under(there, roomy, False)
-    was_clear = clearance_of(old.grid.free) > _LEAK
+    was_roomy, roomy = (clearance_of(each.free) > _LEAK for each in (old.grid, grid))
     for id_, window in windows_of(old.owner).items():
-        floor = (old.owner[window] == id_) & was_clear[window]
-        before, now = (
-            cv2.connectedComponents(part.astype(np.uint8), connectivity=4)[1]
-            for part in (floor, floor & clear[window])
-        )
-        mine = np.flatnonzero(labels == id_)
         corner = [part.start for part in window]
-        cells = np.clip(old.grid.cells_of(poses[mine, :2]) - corner, 0, np.array(now.shape) - 1)
-        whole, piece = (nearest_values(part)[0][tuple(cells.T)] for part in (before, now))
-        way_m = _driven_m(piece, poses[mine])
-        most = dict[int, int]()  # the piece that goes on, of each that was there
-        for part in sorted(way_m, key=lambda part: way_m[part]):
-            most[int(whole[piece == part][0])] = part
-        for part, driven_m in way_m.items():
-            if driven_m >= least_m and most[int(whole[piece == part][0])] != part:
-                labels[mine[piece == part]] = next_id
+        before = ((old.owner[window] == id_) & was_roomy[window]).astype(np.uint8)
+        now, cells = before.copy(), np.argwhere(before)
+        now[tuple(cells.T)] = grid.under(old.grid.centres_of(cells + corner), roomy, False)
+        mine = np.flatnonzero(labels == id_)
+        at = np.clip(old.grid.cells_of(poses[mine, :2]) - corner, 0, np.array(now.shape) - 1)
+        whole, piece = (
+            nearest_values(cv2.connectedComponents(floor, connectivity=4)[1])[0][tuple(at.T)]
+            for floor in (before, now)
+        )
+        stays = piece[1:] == piece[:-1]
+        way_m = np.zeros(1 + int(piece.max(initial=0)))
+        np.add.at(way_m, piece[1:][stays], step_lengths(poses[mine])[stays])
+        for part in np.unique(whole).tolist():
+            pieces = np.unique(piece[whole == part])
+            pieces = pieces[np.argsort(-way_m[pieces], kind="stable")]  # the first keeps the id
+            for one in pieces[1:][way_m[pieces[1:]] >= least_m].tolist():
+                labels[mine[(whole == part) & (piece == one)]] = next_id
                 next_id += 1
     return labels
 

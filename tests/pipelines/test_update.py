@@ -32,7 +32,8 @@ from specmap_cli.pipelines.overlaps import PairOfMaps
 from specmap_cli.pipelines.reports import MergeReport, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.pipelines.update import build_like, update_map
+from specmap_cli.pipelines.thinning import Thinned
+from specmap_cli.pipelines.update import build_like, redivided, update_map
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.recognition.learning.sampling import Track
 from specmap_cli.simulation.simulator import SimulationOptions
@@ -207,6 +208,26 @@ def test_what_the_second_recording_looked_at_is_drawn_as_it_saw_it(kept: Kept) -
             drawn = whole.values_at(walls), room.values_at(in_room)
             shares.append([float(np.mean(cells == OCCUPIED)) for cells in drawn])
     assert np.greater(shares[0], np.add(shares[1], 0.03)).all(), shares
+
+
+def test_a_submap_that_a_wall_cuts_in_two_becomes_two(kept: Kept) -> None:
+    """As if the update had seen a wall across the largest submap."""
+    old = laid_out_of_stored(kept.old)
+    with kept.old.scans() as store:
+        old = with_grid(Session(settings_for(kept.old, {}), store, Silent()), old)
+    largest = max(old.regions.outlines, key=lambda id_: old.regions.outlines[id_].area_m2)
+    floor = np.argwhere(old.regions.owner == largest)
+    along = int(np.ptp(floor, axis=0).argmax())
+    middle = int(np.median(floor[:, along]))
+    cells = old.whole.cells.copy()
+    cells[(slice(None),) * along + (slice(middle, middle + 2),)] = OCCUPIED
+    walled = replace(old, drawn=replace(old.whole, cells=cells))
+    for laid, new in ((old, set()), (walled, {7})):
+        fewer = Thinned(laid, np.arange(len(old)), len(old))
+        found = redivided(old, old, fewer, settings_for(kept.old, {})).laid
+        assert set(found.labels.submaps.tolist()) - set(old.labels.submaps.tolist()) == new
+        assert found.next_id == 7 + len(new)
+    assert set(old.labels.submaps[found.labels.submaps == 7].tolist()) == {largest}
 
 
 def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Kept) -> None:

@@ -21,6 +21,7 @@ from specmap_cli.topology.graph import (
     settle_labels,
     stays_of,
     submap_of_regions,
+    walled_off,
 )
 from specmap_cli.topology.identity import carried, redrawn, undone
 from specmap_cli.topology.regions import divide
@@ -298,6 +299,42 @@ def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() 
         both = labels_after(rooms(2), way(1.0, 7.5), second, joint=0)
         assert set(np.concatenate(both).tolist()) == ids
     assert set(both[1].tolist()) == {2}
+
+
+@pytest.mark.parametrize(
+    ("wall", "reach_m", "parts"),
+    [
+        ((slice(0, 44), slice(28, 30)), 4.0, [0, 5]),
+        ((slice(3, 41), slice(28, 30)), 4.0, [0, 5]),  # beams graze the walls beside it
+        ((slice(7, 44), slice(28, 30)), 4.0, [0]),  # half a metre is left
+        ((slice(0, 44), slice(28, 30)), 3.4, [0]),  # hardly driven on
+        ((slice(0, 44), slice(12, 14)), 4.0, [5, 0]),  # most of the way is behind it
+    ],
+)
+def test_a_wall_across_a_submap_makes_two_of_it(
+    wall: tuple[slice, slice], reach_m: float, parts: list[int]
+) -> None:
+    """A room with a way from one side to the other, seen again by a robot on the left."""
+    world, poses = rooms(1), np.concatenate([way(0.5, reach_m), way(0.5, 1.0)])
+    labels = np.zeros(len(poses), dtype=np.int64)
+    old = divide(world, labelled(poses, labels))
+    now = replace(world, cells=world.cells.copy())
+    now.cells[wall] = OCCUPIED
+    found = walled_off(labels, poses, old, now, 5, 0.5)
+    beyond = poses[:, 0] // 0.1 - wall[1].start
+    assert set(found[beyond < 0].tolist()) == {parts[0]}
+    assert set(found[beyond > 2].tolist()) == {parts[-1]}
+    assert not labels.any(), "given labels stay as they are"
+
+
+def test_pieces_that_hung_together_nowhere_are_left_alone() -> None:
+    """A person may have made one submap of two rooms."""
+    poses = np.concatenate([way(0.5, 4.0), way(4.6, 8.0)])
+    labels = np.zeros(len(poses), dtype=np.int64)
+    apart = rooms(2)
+    apart.cells[:, 41] = OCCUPIED
+    old = divide(apart, labelled(poses, labels))
+    assert not walled_off(labels, poses, old, apart, 5, 1.0).any()
 
 
 def test_a_room_that_was_only_looked_into_is_new() -> None:
