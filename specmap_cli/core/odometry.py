@@ -7,7 +7,7 @@ less: what registration compared with walls tells in shares of this.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from specmap_cli.core.geometry import Pose2
 
@@ -18,8 +18,7 @@ _LEAST_M, _LEAST_RAD = 0.05, 0.03
 SHARE_OF_DISTANCE, _SHARE_OF_TURN, _TURN_PER_M = 0.2, 0.3, 0.03
 
 
-@dataclass(frozen=True, slots=True)
-class Slack:
+class Slack(NamedTuple):
     """How far a motion may be from odometry's and still agree: metres, metres and radians."""
 
     along_m: float
@@ -30,6 +29,9 @@ class Slack:
     def place_m(self) -> float:
         """How far that is in the plane."""
         return math.hypot(self.along_m, self.across_m)
+
+
+UNMEASURED = Slack(math.inf, math.inf, math.inf)  # of a motion without odometry
 
 
 def unknown_slack(motion: Pose2) -> Slack:

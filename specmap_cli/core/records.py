@@ -6,7 +6,6 @@ Stamps are header stamps in integer nanoseconds; lengths are metres, angles radi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,6 +16,7 @@ from pydantic import Field
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Count, MaybeNan, Motion, Value
+from specmap_cli.core.odometry import UNMEASURED, Slack
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -77,8 +77,8 @@ class PosedScan:
     measured it.
     `planar` is de-skewed. Walls do not fix each motion in all directions: what was guessed on the
     way up to it may be off by `guessed_m`, x and y in the map, a standard deviation.
-    `odometry_slacks` say by how many slacks of an unknown odometry (`core/odometry.py`) the one
-    that measured the motion up to it may be off, in its place and in its turn; inf without one.
+    `odometry_slacks` say by how many slacks of an unknown odometry the one that measured the motion
+    up to it may be off.
     `odom_from_base` is the odometry at its stamp, None where there is none.
     `map_from_base_3d` (4, 4) keeps z, roll and pitch of a 3D lidar.
     """
@@ -94,7 +94,7 @@ class PosedScan:
     restarted: bool = False
     bridge: tuple[float, float] | None = None
     guessed_m: tuple[float, float] = (0.0, 0.0)
-    odometry_slacks: tuple[float, float] = (math.inf, math.inf)
+    odometry_slacks: Slack = UNMEASURED
     odom_from_base: Pose2 | None = None
     map_from_base_3d: FloatArray | None = None
 

@@ -1,7 +1,7 @@
 """Keyframes: which scans go on to mapping, their store on disk, and which a map can do without.
 
 Every scan is registered. Only those taken after the robot moved or turned are kept, and their
-readings go to a temporary file: in memory a keyframe takes 80 bytes, however many beams its scan
+readings go to a temporary file: in memory a keyframe takes 88 bytes, however many beams its scan
 has.
 
 A place is shown well by as many scans as it takes for every cell of a surface to be hit, as far as
@@ -25,6 +25,7 @@ import numpy as np
 
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, moved, wrap_angles
+from specmap_cli.core.odometry import Slack
 from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.grids.gridmap import GridMap
@@ -123,7 +124,7 @@ class _Laser:
 class KeyframeStore:
     """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
 
-    Memory grows by 80 bytes a keyframe, not by its beams.
+    Memory grows by 88 bytes a keyframe, not by its beams.
     """
 
     def __init__(self) -> None:
@@ -186,8 +187,8 @@ class KeyframeStore:
 
     @property
     def odometry_slacks(self) -> FloatArray:
-        """(n, 2) how far odometry may be off at each keyframe, see `PosedScan`."""
-        return np.array(self._slacks).reshape(-1, 2)
+        """(n, 3) how far odometry may be off at each keyframe, see `PosedScan`."""
+        return np.array(self._slacks).reshape(-1, 3)
 
     @property
     def stamps_ns(self) -> IntArray:
@@ -223,7 +224,7 @@ class KeyframeStore:
             planar=self.scan(number),
             base_from_laser=self.base_from_laser(number),
             guessed_m=(self._guessed[2 * number], self._guessed[2 * number + 1]),
-            odometry_slacks=(self._slacks[2 * number], self._slacks[2 * number + 1]),
+            odometry_slacks=Slack(*self._slacks[3 * number : 3 * number + 3]),
         )
 
     def base_from_laser(self, number: int) -> Pose2:

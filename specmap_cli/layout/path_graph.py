@@ -201,7 +201,7 @@ def step_information(
 ) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place, `slacks` (L, 2) what
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place, `slacks` (L, 3) what
     odometry is worth there, see `PosedScan`. By `guessed_m` (L, 2)
     each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
     and not their squares: each counts for more, the more there are in a row.
@@ -209,9 +209,9 @@ def step_information(
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
     sigmas = np.column_stack([position, position, angle])
-    unknown = [unknown_slack(step) for step in steps]
-    wheels = slacks * [(slack.along_m, slack.turn_rad) for slack in unknown] / SIGMAS
-    told = np.minimum(wheels, (GUESS_M, _GUESS_RAD))[:, [0, 0, 1], None]
+    wheels = slacks * np.array([unknown_slack(step) for step in steps]).reshape(-1, 3) / SIGMAS
+    wheels[:, :2] = wheels[:, :2].max(axis=1, keepdims=True)  # whatever way the robot went
+    told = np.minimum(wheels, (GUESS_M, GUESS_M, _GUESS_RAD))[:, :, None]
     noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + np.eye(3) / told**2)
     sizes = np.hypot(guessed_m[:, 0], guessed_m[:, 1])
     for start, end in runs(sizes > 0.0):

@@ -12,14 +12,13 @@ Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in spac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, product
-from specmap_cli.core.odometry import SHARE_OF_DISTANCE, SIGMAS
+from specmap_cli.core.odometry import SHARE_OF_DISTANCE, SIGMAS, UNMEASURED
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
@@ -171,7 +170,7 @@ class FrontEnd:
             restarted=restarted,
             bridge=track.bridge(self.config) if restarted else None,
             guessed_m=self._track.guessed_m,
-            odometry_slacks=track.odometry_slacks,
+            odometry_slacks=track.reliance.limits if track.measured else UNMEASURED,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=judgement.fit.pose if in_space else None,
         )
@@ -316,14 +315,6 @@ class Track:
             place_m = max(place_m, config.max_shift_m)
             turn_rad = max(turn_rad, SEARCH_RAD)
         return place_m / SIGMAS, turn_rad / SIGMAS
-
-    @property
-    def odometry_slacks(self) -> tuple[float, float]:
-        """Slacks of an unknown odometry by which this one may be off: its place, and its turn."""
-        limits = self.reliance.limits
-        if not self.measured:
-            return math.inf, math.inf
-        return max(limits.along_m, limits.across_m), limits.turn_rad
 
     def is_carried(self, config: RegistrationConfig) -> bool:
         """Whether odometry alone tells the place well enough to go on with it.

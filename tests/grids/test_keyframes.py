@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.odometry import UNMEASURED, Slack
 from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.grids import keyframes
@@ -60,7 +61,9 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
 
 def test_what_registration_was_unsure_of_is_kept() -> None:
     scans = [
-        replace(at(float(k)), guessed_m=(0.1 * k, -0.2 * k), odometry_slacks=(0.5, float(k)))
+        replace(
+            at(float(k)), guessed_m=(0.1 * k, -0.2 * k), odometry_slacks=Slack(0.5, 1.0, float(k))
+        )
         for k in range(3)
     ]
     with KeyframeStore() as store, KeyframeStore() as other:
@@ -70,7 +73,7 @@ def test_what_registration_was_unsure_of_is_kept() -> None:
         store.keep(np.array([0, 2, 3]), store.poses_of([0, 2, 3]))
         other.extend(store)
         assert other.guessed_m.tolist() == [[0.0, 0.0], [0.2, -0.4], [0.0, 0.0]]
-        assert other.odometry_slacks.tolist() == [[0.5, 0.0], [0.5, 2.0], [np.inf, np.inf]]
+        assert other.odometry_slacks.tolist() == [[0.5, 1.0, 0.0], [0.5, 1.0, 2.0], [*UNMEASURED]]
 
 
 def test_a_store_is_read_while_it_grows() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.odometry import SIGMAS
+from specmap_cli.core.odometry import SIGMAS, UNMEASURED, Slack
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
@@ -32,7 +32,6 @@ from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
 
 NOTHING = np.zeros((0, 2))
-UNMEASURED = (np.inf, np.inf)
 BLIND = PlanarScan(0, np.array([0.0, 0.1]), np.full(2, np.inf), 10.0, False)
 
 
@@ -89,7 +88,7 @@ def spread_of(
     step: Pose2,
     points: FloatArray,
     guessed_m: tuple[float, float] = (0.0, 0.0),
-    slacks: tuple[float, float] = UNMEASURED,
+    slacks: Slack = UNMEASURED,
 ) -> FloatArray:
     """Covariance of one motion that ends where these points are seen, some of it guessed."""
     fisher = observability(points, _RANGE_NOISE_M)[None]
@@ -106,17 +105,18 @@ def test_a_guess_is_told_along_its_own_direction() -> None:
 def test_without_walls_a_motion_errs_as_the_odometry_that_measured_it() -> None:
     """No more than a guess at the worst; and each step of a store by what it was worth there."""
     step = Pose2(0.3, 0.0, 0.0)
-    for slacks, sigmas in (((0.5, 2.0), (0.055, 0.078)), ((30.0, 30.0), (0.9, 0.6))):
+    wheels, bad = Slack(0.5, 0.4, 2.0), Slack(30.0, 30.0, 30.0)
+    for slacks, sigmas in ((wheels, (0.055, 0.078)), (bad, (0.9, 0.6))):
         place, turn = np.minimum(np.array(sigmas) / SIGMAS, (GUESS_M, 0.2))
         spread = np.diag(spread_of(step, NOTHING, slacks=slacks))
         assert spread[:2] == pytest.approx(place**2 + 0.019**2)
         assert spread[2] == pytest.approx(turn**2 + 0.003**2)
     blind = replace(posed(0), planar=BLIND, map_from_base=IDENTITY)
-    on = replace(blind, map_from_base=step, odometry_slacks=(0.5, 2.0))
+    on = replace(blind, map_from_base=step, odometry_slacks=wheels)
     with store_of([blind, on, replace(blind, map_from_base=step @ step)]) as some:
         motions = graph_of(some, [], {}).odometry
     told, guessed = (np.linalg.inv(motion.information) for motion in motions)
-    assert np.allclose(told, spread_of(step, NOTHING, slacks=(0.5, 2.0)))
+    assert np.allclose(told, spread_of(step, NOTHING, slacks=wheels))
     assert np.allclose(guessed, spread_of(step, NOTHING))
 
 
@@ -185,7 +185,7 @@ def test_guesses_in_a_row_err_in_one_way_and_others_do_not(sizes: list[float]) -
     row = [(size, 0.0) for size in sizes]
     steps = [Pose2(0.3, 0, 0.5)] * (2 * len(row) + 1)
     fisher = np.repeat(1e15 * np.eye(3)[None], len(steps), axis=0)
-    slacks, guessed_m = np.full((len(steps), 2), np.inf), np.array([*row, (0.0, 0.0), *row])
+    slacks, guessed_m = np.full((len(steps), 3), np.inf), np.array([*row, (0.0, 0.0), *row])
     spread = np.linalg.inv(step_information(steps, fisher, slacks, guessed_m))
     grown = spread[:, 0, 0] - 0.019**2
     for stretch in (grown[: len(row)], grown[-len(row) :]):

@@ -158,7 +158,7 @@ def corridor_of(loop: bool) -> Layout:
     guesses = np.zeros((10, 2))
     guesses[2:8, 0] = 0.1
     fisher = np.repeat(1e6 * np.eye(3)[None], 10, axis=0)
-    slacks = np.full((10, 2), np.inf)
+    slacks = np.full((10, 3), np.inf)
     information = step_information([Pose2(1.0, 0.0, 0.0)] * 10, fisher, slacks, guesses)
     odometry = tuple(link(k, k + 1, [1.0, 0.0, 0.0], "odometry", information[k]) for k in range(10))
     kept = (link(1, 9, [8.0, 0.0, 0.0], "nearby", np.eye(3) / 0.05**2),) if loop else ()
