@@ -1,9 +1,9 @@
 """The path of the robot as a graph, and a layout of it in the making, drafted and solved.
 
 Nodes are some of the keyframes. The motion from each to the next is that of the front end. Its
-covariance has three parts: noise in proportion to the motion; what the walls in sight leave
-undetermined, from their normals (Censi, "On achievable accuracy for range-finder localization",
-ICRA 2007); and what without odometry the motion before had to tell: in a bare corridor all.
+covariance has three parts: noise in proportion to the motion; what walls in sight, by their normals
+(Censi, "On achievable accuracy for range-finder localization", ICRA 2007), and odometry leave
+undetermined; and what without odometry the motion before had to tell: in a bare corridor all.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _STEP_SHARE = 0.03  # error of a motion, metres per metre driven
 _TURN_SHARE = 0.02  # error of a motion's turn, radians per radian
 # Error of a step of no length: registration ends within a fifth of a map cell of 5 cm, 3 m away.
 _LEAST_M, _LEAST_RAD = 0.01, 0.003
-GUESS_M = 0.3  # error of a motion without a wall in sight, or over a break
+GUESS_M = 0.3  # error of a motion that neither walls nor odometry tell, or over a break
 _GUESS_RAD = 0.2  # error of the turn of such a motion
 GUESS_INFORMATION = np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
 _RANGE_NOISE_M = 0.1  # error of a reading; more than the laser's: neighbours err alike
@@ -202,9 +202,9 @@ def step_information(
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
     `fisher` (L, 3, 3) is what the walls seen from its end tell of a place, `slacks` (L, 3) what
-    odometry is worth there, see `PosedScan`. By `guessed_m` (L, 2)
-    each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
-    and not their squares: each counts for more, the more there are in a row.
+    odometry is worth there, see `PosedScan`. By `guessed_m` (L, 2) each may be off as it was
+    guessed. A guess that goes on errs in one way, so that errors add up, and not their squares:
+    each counts for more, the more there are in a row.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]

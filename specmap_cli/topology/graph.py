@@ -7,7 +7,8 @@ When a log joins a map that is there, `inherited` gives the submap of each keyfr
 keeps its id and its border, only new space is divided afresh. A new keyframe in the territory of an
 old submap belongs to it. Beyond it, another division says what hangs together: the rest of a room
 that was half seen goes to the submap of that room, anything else becomes a new submap with an id
-that no other ever had. So does a room that the robot had only looked into from its door.
+that no other ever had. So does a room that the robot had only looked into from its door, and what
+a new wall cuts off from its submap (`walled_off`).
 """
 
 from __future__ import annotations
