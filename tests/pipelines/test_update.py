@@ -285,6 +285,10 @@ def test_borders_that_moved_are_said_with_the_reason(kept: Kept) -> None:
         "the border of submap 1 moved (IoU 0.50): 9.0 m2 that were only looked into are in 7, "
         "entered now; 1.0 m2 are in 0 now; 2.0 m2 of no submap are in it now"
     )
+    assert (kept.report.cut_off, report.as_dict()["cut_off"]) == ((), [])
+    walled = replace(report, new=(), cut_off=(7,))
+    assert "9.0 m2 are in 7, cut off by a wall now; 1.0 m2 are in 0 now" in walled.lines()[2]
+    assert walled.as_dict()["cut_off"] == [7]
     told = report.as_dict()["borders_moved"][0]
     assert told["given"] == [{"submap": 7, "m2": 9.0}, {"submap": 0, "m2": 1.0}]
     assert told["taken"] == [{"submap": None, "m2": 2}]
