@@ -255,7 +255,8 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     The recording that is added saw some rooms only through their doors, and so did those before it.
     By itself its map may give a room that it entered to what lies beyond the next door, and the old
     map may have given parts of it to the corridor. The map of all of them shows the room as it is.
-    The keyframes of `old`, with which those of `joint` begin, stay in their submaps.
+    The keyframes of `old`, with which those of `joint` begin, stay in their submaps, unless a wall
+    now cuts them off from most of theirs.
     """
     laid = fewer.laid
     if laid.division is None:

@@ -47,7 +47,6 @@ _MOST = 8  # places followed at once: each costs a match a look
 # Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
 # for metres.
 _TEMPER = 0.25
-_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,15 +269,17 @@ class WeighedPlaces:
         self._owners = [self._owners[k] for k in best]
 
     def chances(self, belief: FloatArray) -> FloatArray:
-        """(n,) probabilities of the places; what they lack to one is that of all else."""
+        """(n,) probabilities of the places; what they lack to one is that of all else.
+
+        All else is as likely before any view as the map is: a search may miss the place.
+        """
         tempered = np.array([max(chance, SMALLEST) ** _TEMPER for chance in belief.tolist()])
         prior = dict(zip(self.ids, (tempered / tempered.sum()).tolist(), strict=True))
         heavy = [
             math.exp(each.weight) * prior[owner]
             for each, owner in zip(self.places, self._owners, strict=True)
         ]
-        rest = _MISSED if self._driven - self._searched < WINDOW_M else 1.0
-        return np.asarray(np.array(heavy) / (sum(heavy) + rest), dtype=np.float64)
+        return np.asarray(np.array(heavy) / (sum(heavy) + 1.0), dtype=np.float64)
 
     def mixed(self, belief: FloatArray) -> FloatArray:
         """(m,) chances of the submaps: those of the places, and of the filter for all else."""

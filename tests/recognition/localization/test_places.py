@@ -219,7 +219,8 @@ class Walk:
         way, shares = start.inverse() @ end, np.linspace(0.0, 1.0, 6).tolist()
         along = [start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in shares]
         self.scans: list[PosedScan] = building.posed(np.array(along))
-        self.places = WeighedPlaces(walls_of(building.plan), [0], LocalizationConfig())
+        soon = LocalizationConfig(lead=0.8)  # after one view
+        self.places = WeighedPlaces(walls_of(building.plan), [0], soon)
         self.places.see(self.scans[0], self.scans[0], np.ones(1))
 
     def locate(self, scan: PosedScan) -> Any:
