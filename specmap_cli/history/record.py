@@ -23,6 +23,7 @@ from pydantic import Field
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.schemas import ModelSchema
@@ -154,6 +155,22 @@ class Tour:
     end_ns: int
     driven_m: float
     visits: tuple[Visit, ...]
+
+
+def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
+    """Labels (n,) of successive keyframes at `poses` (n, 3) without excursions.
+
+    A stay shorter than `min_path_m` of path between two stays in one submap becomes part of that
+    submap. Stays are looked at in turn, the first is kept.
+    """
+    settled = labels.copy()
+    path = travelled(poses)
+    stays = runs(labels)
+    for before, (start, end), after in zip(stays, stays[1:], stays[2:], strict=False):
+        same = settled[before[0]] == settled[after[0]]
+        if same and path[end - 1] - path[start] < min_path_m:
+            settled[start:end] = settled[before[0]]
+    return settled
 
 
 def tour_of(stamps_ns: IntArray, rooms: IntArray, driven_m: float) -> Tour:

@@ -37,6 +37,7 @@ from specmap_cli.history.record import (
     of_a_job,
     render_history,
     room_name,
+    settle_labels,
     tables_of,
     totals,
     tour_of,
@@ -49,7 +50,6 @@ from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.overlaps import stored_to_align
 from specmap_cli.topology.differences import Obstacle
-from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import ways_m
 
 HISTORY, PAGE = "history.json", "history.html"

@@ -33,7 +33,7 @@ from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
 from specmap_cli.quality.findings import of_recording
 from specmap_cli.segmentation.division import regions_of, segment
-from specmap_cli.topology.graph import by_appearance, settle_labels
+from specmap_cli.topology.graph import by_appearance
 from specmap_cli.topology.topological_map import LogInfo
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
@@ -69,12 +69,12 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
-    least_m = config.segmentation.region_min_m
     if division is None:
         submaps = online_labels(explored.regions, closures, len(layout.poses))
     else:
+        least_m = config.segmentation.region_min_m
         submaps = regions_of(whole, division.array, layout.poses, least_m)
-    submaps = by_appearance(settle_labels(submaps, layout.poses, least_m))
+    submaps = by_appearance(submaps)
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
         evidence = Evidence(

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import (
     NOT_ALIGNED,
     InputError,
@@ -65,7 +66,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import inherited, walled_off
+from specmap_cli.topology.graph import entered_before, inherited, walled_off
 from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -256,7 +257,8 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     By itself its map may give a room that it entered to what lies beyond the next door, and the old
     map may have given parts of it to the corridor. The map of all of them shows the room as it is.
     The keyframes of `old`, with which those of `joint` begin, stay in their submaps, unless a wall
-    now cuts them off from most of theirs.
+    now cuts them off from most of theirs. What these had of a room stays theirs, though in the map
+    of all it is a region of its own that no robot stood in.
     """
     laid = fewer.laid
     if laid.division is None:
@@ -268,7 +270,9 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     submaps = walled_off(submaps, poses, old.regions, laid.whole, next_id, least_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(next_id, 1 + int(submaps.max()))
-    return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))
+    entered = divided[fewer.left]
+    division = Packed.of(entered_before(old.regions, laid.whole, laid.division.array, entered))
+    return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id, division=division))
 
 
 def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> LaidOut:

@@ -8,7 +8,8 @@ keeps its id and its border, only new space is divided afresh. A new keyframe in
 old submap belongs to it. Beyond it, another division says what hangs together: the rest of a room
 that was half seen goes to the submap of that room, anything else becomes a new submap with an id
 that no other ever had. So does a room that the robot had only looked into from its door, and what
-a new wall cuts off from its submap (`walled_off`).
+a new wall cuts off from its submap (`walled_off`). What a submap had stays its own, though the
+other division finds a room there that no robot entered (`entered_before`).
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import runs, windows_of
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths, travelled
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.grids.gridmap import GridMap, clearance_of, nearest_values
-from specmap_cli.topology.regions import NOBODY, Pair, Regions
+from specmap_cli.topology.regions import NOBODY, OwnerArray, Pair, Regions
 from specmap_cli.topology.topological_map import (
     Break,
     EdgeKind,
@@ -55,22 +56,6 @@ def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[in
     for a, b in merges:
         sets.merge(a, b)
     return {region: min(together) for together in sets.subsets() for region in together}
-
-
-def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
-    """Labels (n,) of successive keyframes at `poses` (n, 3) without excursions.
-
-    A stay shorter than `min_path_m` of path between two stays in one submap becomes part of that
-    submap. Stays are looked at in turn, the first is kept.
-    """
-    settled = labels.copy()
-    path = travelled(poses)
-    stays = runs(labels)
-    for before, (start, end), after in zip(stays, stays[1:], stays[2:], strict=False):
-        same = settled[before[0]] == settled[after[0]]
-        if same and path[end - 1] - path[start] < min_path_m:
-            settled[start:end] = settled[before[0]]
-    return settled
 
 
 def build_topology(
@@ -179,7 +164,8 @@ def _traversals(
     return found
 
 
-_MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
+# Share of a submap in one region of the joint map, or of one in submaps: they are the same place.
+_MOST = 0.5
 
 
 def inherited(
@@ -223,8 +209,7 @@ def inherited(
     stays = ~np.isin(own, grazed)
     if stays.any():
         source = np.where(stays, np.arange(len(own)), int(np.argmax(stays)))
-        own = own[np.maximum.accumulate(source)]
-    labels[count:] = settle_labels(own, poses[count:], region_min_m)
+        labels[count:] = own[np.maximum.accumulate(source)]
     new = labels >= next_id
     labels[new] = next_id + by_appearance(labels[new])  # new ids have no gaps
     return labels
@@ -262,6 +247,24 @@ def walled_off(
                 labels[mine[(whole == part) & (piece == one)]] = next_id
                 next_id += 1
     return labels
+
+
+def entered_before(
+    old: Regions, grid: GridMap, division: OwnerArray, entered: IntArray
+) -> OwnerArray:
+    """The `division` (H, W) of `grid`, where all regions that submaps had were entered.
+
+    `old` are the submaps as they were, `entered` (m,) are the regions of the keyframes. A region
+    without any, of which most was theirs, becomes one with the region of the first keyframe.
+    """
+    division = division.copy()
+    for region, window in windows_of(division).items():
+        if region not in entered:
+            mine = division[window] == region
+            centres = grid.centres_of(np.argwhere(mine) + [part.start for part in window])
+            if np.mean(old.grid.under(centres, old.owner, NOBODY) != NOBODY) > _MOST:
+                division[window][mine] = entered[0]
+    return division
 
 
 def by_appearance(labels: IntArray) -> IntArray:

@@ -273,6 +273,25 @@ def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> 
     assert tour.driven_m == 70
 
 
+@pytest.mark.parametrize(
+    ("labels", "settled"),
+    [
+        *(("", ""), ("a", "a"), ("ab", "ab")),
+        ("abc", "abc"),  # a way through, no excursion
+        ("abacaca", "aaaaaaa"),
+        ("abab", "aaab"),  # the last stay is followed by none
+        ("abbbbbba", "abbbbbba"),  # 1 m long
+        ("abbbbba", "aaaaaaa"),  # 0.8 m
+    ],
+)
+def test_what_is_an_excursion(labels: str, settled: str) -> None:
+    numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
+    poses = np.column_stack([0.2 * np.arange(len(labels)), *np.zeros((2, len(labels)))])
+    found = record.settle_labels(numbers, poses, 0.9)
+    assert "".join(map(chr, numbers)) == labels, "the argument is left alone"
+    assert "".join(map(chr, found)) == settled
+
+
 def test_a_day_ends_at_midnight_of_the_zone() -> None:
     assert record.day_of(MIDNIGHT, record.zone_of("UTC")) == "2026-03-02"
     assert record.day_of(MIDNIGHT - 1, record.zone_of("UTC")) == "2026-03-01"

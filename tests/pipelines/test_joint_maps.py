@@ -10,7 +10,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
 from specmap_cli.pipelines.joining import with_edits_of
@@ -137,12 +137,19 @@ def way(start_m: float, end_m: float) -> FloatArray:
     return np.column_stack([x, np.full_like(x, 2.2), np.zeros_like(x)])
 
 
-def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntArray]:
-    """The map, and the room of each keyframe: the old robot left out the middle room."""
+def updated(
+    whole: GridMap,
+    loose: tuple[int, ...] = (),
+    second: FloatArray = way(1.5, 11.0),
+    known: GridMap | None = None,
+) -> tuple[LaidOut, IntArray]:
+    """The map, and the room of each keyframe: the old robot left out the middle room.
+
+    It knew the whole map, or what is `known`.
+    """
     first = np.concatenate([way(1.0, 3.5), way(9.5, 11.5)])
-    second = way(1.5, 11.0)
     rooms = (np.concatenate([first, second])[:, 0] // SIDE_M).astype(np.int64)
-    old = replace(laid_out(first, np.minimum(rooms[: len(first)], 1)), drawn=whole)
+    old = replace(laid_out(first, np.minimum(rooms[: len(first)], 1)), drawn=known or whole)
     provisional = np.concatenate([old.labels.submaps, np.zeros(len(second), dtype=np.int64)])
     joint = laid_out(np.concatenate([first, second]), provisional, loose)
     left = np.flatnonzero(np.arange(len(rooms)) % 7 != 3)  # some were let go
@@ -158,6 +165,19 @@ def test_a_room_that_was_entered_is_a_submap_whoever_looked_into_it(whole: GridM
     map_, rooms = updated(whole)
     assert (map_.labels.submaps != np.array([0, 9, 1])[rooms]).sum() <= 4, "doors, either way"
     assert map_.next_id == 10
+
+
+def test_a_room_that_nobody_entered_stays_a_part_of_the_submaps_that_had_most_of_it(
+    whole: GridMap,
+) -> None:
+    middle = np.s_[2:42, 43:82]
+    for had_columns, kept in ((82, True), (55, False)):  # all of it, and a third
+        cells = whole.cells.copy()
+        cells[:, had_columns:83] = UNKNOWN
+        map_, _ = updated(whole, second=way(9.6, 11.4), known=GridMap(cells, whole.resolution))
+        owner = map_.regions.owner[middle]
+        assert bool((owner == NOBODY).all()) != kept
+        assert bool(np.isin(owner, [0, 1]).all()) == kept
 
 
 def test_where_a_part_lies_by_a_guess_nothing_is_divided_anew(whole: GridMap) -> None:

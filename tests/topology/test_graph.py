@@ -18,7 +18,6 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.graph import (
     build_topology,
     inherited,
-    settle_labels,
     stays_of,
     submap_of_regions,
     walled_off,
@@ -172,24 +171,6 @@ def test_the_graph_of_a_driven_tour_is_connected_and_complete_and_visits_are_its
     for id_, submap in topology.submaps.items():
         assert [(visit.start_ns, visit.end_ns) for visit in submap.visits] == expected[id_]
         assert submap.map_from_submap.x == labels.index(id_), "the frame is its first keyframe's"
-
-
-@pytest.mark.parametrize(
-    ("labels", "settled"),
-    [
-        *(("", ""), ("a", "a"), ("ab", "ab")),
-        ("abc", "abc"),  # a way through, no excursion
-        ("abacaca", "aaaaaaa"),
-        ("abab", "aaab"),  # the last stay is followed by none
-        ("abbbbbba", "abbbbbba"),  # 1 m long
-        ("abbbbba", "aaaaaaa"),  # 0.8 m
-    ],
-)
-def test_what_is_an_excursion(labels: str, settled: str) -> None:
-    numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
-    found = settle_labels(numbers, line_of_poses(len(labels), 0.2), 0.9)
-    assert "".join(map(chr, numbers)) == labels, "the argument is left alone"
-    assert "".join(map(chr, found)) == settled
 
 
 @given(
