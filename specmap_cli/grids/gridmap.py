@@ -255,6 +255,37 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
     return looked_up(of_source, source), np.asarray(away, dtype=np.float32)
 
 
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
+def flood(passable: BoolArray, markers: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) the marker that reaches each cell first, zero where none does.
+
+    The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
+    time, over their sides; those on other cells stay. The largest that reaches a cell has it.
+    """
+    framed, around = np.pad(passable, 1), np.pad(markers, 1)
+    marked = framed & (around > 0)
+    framed &= ~marked
+    ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & marked)
+    found, wide = around.ravel(), framed.shape[1]
+    empty = framed.view(np.uint8).ravel()  # 1 is empty, 2 is reached by the ring that grows
+    while len(ring):
+        grown_to = []
+        for step in (-wide, -1, 1, wide):  # one ring's cells on one side are all different
+            beside = ring + step
+            open_ = empty[beside]
+            reached = open_ > 0
+            cells = beside[reached]
+            found[cells] = np.maximum(found[cells], found[ring[reached]])
+            first = cells[open_[reached] == 1]
+            empty[first] = 2
+            grown_to.append(first)
+        ring = np.concatenate(grown_to)
+        empty[ring] = 0
+    return around[1:-1, 1:-1]
+
+
 def cast_rays(
     distance: NDArray[Any],
     grid: GridMap,

@@ -43,7 +43,7 @@ from specmap_cli.pipelines.localizer import settings_for
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
-from specmap_cli.segmentation.division import unentered
+from specmap_cli.segmentation.division import driven
 from specmap_cli.topology.navigation import parts
 from specmap_cli.topology.regions import Regions, kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
@@ -156,8 +156,8 @@ def _drawn(stored: Map, edits: Edits) -> Drawn:
     if not graph.stays:
         raise MapError("keeps no stays: its borders are fixed", "build it again", where=stored.path)
     whole, labels = stored.map_grid, stored.labels
-    nobodys = unentered(whole, stored.regions.owner, labels.poses)
-    return drawn(whole, labels, graph.edits.borders, edits, graph.next_id, nobodys)
+    rooms = driven(whole, stored.regions.owner, labels.poses)
+    return drawn(whole, labels, graph.edits.borders, edits, graph.next_id, rooms)
 
 
 def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, requested: RequestedEdits) -> None:

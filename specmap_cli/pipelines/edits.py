@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from specmap_cli.core.errors import MapError, UsageError
-from specmap_cli.core.records import BoolArray, Labels
+from specmap_cli.core.records import Labels
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps import filenames
@@ -30,7 +30,7 @@ from specmap_cli.maps.edits import (
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.identity import Redrawn, redrawn
 from specmap_cli.topology.navigation import Shut, shut_by, with_detours, with_shut
-from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.regions import OwnerArray, Regions
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     Said,
@@ -155,11 +155,11 @@ def drawn(
     borders: Sequence[BorderEdit],
     edits: Edits,
     next_id: int,
-    unentered: BoolArray | None,
+    rooms: OwnerArray | None,
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
-    found = redrawn(whole, labels, borders, borders_in(edits), next_id, unentered)
+    found = redrawn(whole, labels, borders, borders_in(edits), next_id, rooms)
     skipped = {places[place]: why for place, why in found.skipped.items()}
     changes, said = list(edits.changes), dict(edits.submaps)
     made = [place for place in places if place not in skipped]

@@ -82,7 +82,7 @@ def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
     """
     if not laid.borders and not laid.edits.changes:
         return laid, {}
-    found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id, laid.unentered)
+    found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id, laid.rooms)
     bordered = replace(
         laid,
         labels=replace(laid.labels, submaps=found.submaps),

@@ -18,7 +18,7 @@ from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, Closure, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, Closure, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of
@@ -36,8 +36,8 @@ from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.segmentation.division import unentered
-from specmap_cli.topology.regions import Regions, divide
+from specmap_cli.segmentation.division import driven
+from specmap_cli.topology.regions import OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
@@ -115,16 +115,16 @@ class LaidOut:
         return self.drawn
 
     @property
-    def unentered(self) -> BoolArray | None:
-        """(H, W) the cells of rooms that the robot saw and never entered; None if nobody knows."""
+    def rooms(self) -> OwnerArray | None:
+        """(H, W) the region of each cell the robot entered, or NOBODY; None if nobody knows."""
         if self.division is None:
             return None
-        return unentered(self.whole, self.division.array, self.labels.poses)
+        return driven(self.whole, self.division.array, self.labels.poses)
 
     @cached_property
     def regions(self) -> Regions:
         """The division of the cells of the whole grid among the submaps."""
-        return divide(self.whole, self.labels, fences_of(self.borders), self.unentered)
+        return divide(self.whole, self.labels, fences_of(self.borders), self.rooms)
 
     def way_through(self, poses: FloatArray) -> FloatArray:
         """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""

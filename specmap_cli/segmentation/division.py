@@ -248,15 +248,15 @@ def regions_of(
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
 
 
-def unentered(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> BoolArray:
-    """(H, W) the cells of regions without a keyframe, and of no region, as in `regions_of`.
+def driven(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> LabelArray:
+    """(H, W) the region of each cell as in `regions_of`, or -1 in those without a keyframe.
 
-    That is what the robot saw through doors and windows, and never drove into.
+    These are what the robot saw through doors and windows, and never drove into.
     """
-    nobodys = np.ones(int(division.max(initial=-1)) + 2, dtype=np.bool_)  # the last is no region
+    number = np.full(int(division.max(initial=-1)) + 2, -1, dtype=division.dtype)
     there = _regions_at(grid, division, poses)
-    nobodys[there[there >= 0]] = False
-    return looked_up(nobodys, division)
+    number[there] = there  # the last is no region
+    return looked_up(number, division)
 
 
 def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> IntArray:

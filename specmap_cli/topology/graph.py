@@ -41,6 +41,7 @@ from specmap_cli.topology.topological_map import (
 
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
+_AROUND = np.ones((3, 3), dtype=np.uint8)
 _LEAK = 1.5  # cells: a gap beside a wall that is no wider is a beam's
 
 Span = tuple[int, int]
@@ -222,7 +223,8 @@ def walled_off(
 
     `old` are the submaps as they were, `grid` is the map as it is now. What a submap had as one
     piece of floor and has as several, each with `least_m` of way or more, are several submaps: that
-    with the most way keeps the id, the others get new ones from `next_id` on.
+    with the most way keeps the id, the others get new ones from `next_id` on. Most of the rim of
+    such a piece was so before: else it is where a thing stands now.
     """
     labels = labels.copy()
     was_roomy, roomy = (clearance_of(each.free) > _LEAK for each in (old.grid, grid))
@@ -233,10 +235,8 @@ def walled_off(
         now[tuple(cells.T)] = grid.under(old.grid.centres_of(cells + corner), roomy, False)
         mine = np.flatnonzero(labels == id_)
         at = np.clip(old.grid.cells_of(poses[mine, :2]) - corner, 0, np.array(now.shape) - 1)
-        whole, piece = (
-            nearest_values(cv2.connectedComponents(floor, connectivity=4)[1])[0][tuple(at.T)]
-            for floor in (before, now)
-        )
+        wholes, parts = (cv2.connectedComponents(f, connectivity=4)[1] for f in (before, now))
+        whole, piece = (nearest_values(each)[0][tuple(at.T)] for each in (wholes, parts))
         stays = piece[1:] == piece[:-1]
         way_m = np.zeros(1 + int(piece.max(initial=0)))
         np.add.at(way_m, piece[1:][stays], step_lengths(poses[mine])[stays])
@@ -244,8 +244,10 @@ def walled_off(
             pieces = np.unique(piece[whole == part])
             pieces = pieces[np.argsort(-way_m[pieces], kind="stable")]  # the first keeps the id
             for one in pieces[1:][way_m[pieces[1:]] >= least_m].tolist():
-                labels[mine[(whole == part) & (piece == one)]] = next_id
-                next_id += 1
+                rim = cv2.dilate((parts == one).view(np.uint8), _AROUND) > now
+                if before[rim].mean() < _MOST:
+                    labels[mine[(whole == part) & (piece == one)]] = next_id
+                    next_id += 1
     return labels
 
 

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Count, Value, runs_of, titled
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, flood
 from specmap_cli.topology.regions import (
     NOBODY,
     OwnerArray,
@@ -30,7 +30,6 @@ from specmap_cli.topology.regions import (
     along_and_across,
     divide,
     drawn,
-    flood,
 )
 from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split, bare, fences_of
 
@@ -242,13 +241,13 @@ def redrawn(
     borders: Sequence[BorderEdit],
     requested: Sequence[BorderEdit],
     next_id: int,
-    unentered: BoolArray | None = None,
+    rooms: OwnerArray | None = None,
 ) -> Redrawn:
     """Make the borders that are `requested`, in order, instead of those that the labels have.
 
     What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
-    ever had: splits without an id get one of these. Rooms that are `unentered` (H, W) are in no
-    submap that could be split.
+    ever had: splits without an id get one of these. A submap ends where its `rooms` (H, W) do, as
+    in `divide`.
     """
     if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
@@ -257,7 +256,7 @@ def redrawn(
     free = max([next_id, *(1 + new for new in taken if new is not None)])
     state = Redrawn(before, (), free)
     for place, border in enumerate(requested):
-        made = _made(whole, labels, state, border, unentered)
+        made = _made(whole, labels, state, border, rooms)
         if isinstance(made, str):
             state = replace(state, skipped={**state.skipped, place: made})
         else:
@@ -309,7 +308,7 @@ def carried(
 
 
 def _made(
-    whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit, unentered: BoolArray | None
+    whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit, rooms: OwnerArray | None
 ) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):
@@ -326,7 +325,7 @@ def _made(
         if (submaps == owner).any():
             return f"submap {owner} exists already"
         divided = replace(labels, submaps=submaps)
-        regions = divide(whole, divided, fences_of(state.borders), unentered)
+        regions = divide(whole, divided, fences_of(state.borders), rooms)
         mine = regions.owner == border.submap
         fence = fence_of(mine, whole, border.line)
         if fence is None:

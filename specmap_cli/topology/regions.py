@@ -31,6 +31,7 @@ from specmap_cli.grids.gridmap import (
     clearance_of,
     contacts,
     exact,
+    flood,
     nearest_values,
     slices_near,
     window_of,
@@ -281,20 +282,21 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
 
 
 def divide(
-    whole: GridMap, labels: Labels, fences: Sequence[Line] = (), unentered: BoolArray | None = None
+    whole: GridMap, labels: Labels, fences: Sequence[Line] = (), rooms: OwnerArray | None = None
 ) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
     The keyframes flood the cells where a robot has room, and from there the free cells, so that
     regions are connected and end at walls, and go through no slit. Cells that a robot could not get
-    near, such as those seen through a gap or a window, are nobody's, and so is what is `unentered`
-    (H, W): rooms without a keyframe. A region grows across the `fences`, lines in the map, only
-    where nothing else is left: not from a keyframe on one, either.
+    near, such as those seen through a gap or a window, are nobody's. `rooms` (H, W) are numbers of
+    those that were entered; what is in none is nobody's. A region grows out of a room, and across
+    the `fences`, lines in the map, only where nothing else is left: not from a keyframe on one,
+    either.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
     rows, columns = places[inside].T
-    passable = whole.free if unentered is None else whole.free & ~unentered
+    passable = whole.free if rooms is None else whole.free & (rooms != NOBODY)
     room = _ROBOT_RADIUS_M / whole.resolution - _SLACK
     entered = ~within(np.pad(whole.free, 1).view(np.uint8), room)[1:-1, 1:-1]
     entered &= passable
@@ -306,49 +308,29 @@ def divide(
     owner[rows, columns] = submaps + 1
     fenced = drawn(fences, whole)
     for cells in (entered & ~fenced, entered):
-        owner = flood(cells, owner)
+        owner = _flooded(cells, owner, rooms)
     entered = owner > 0
     passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
     for cells in (passable & ~fenced, passable):
-        owner = flood(cells, owner)
+        owner = _flooded(cells, owner, rooms)
     del passable, entered, fenced, cells  # masks of the whole map, which what follows needs not
     owner[~whole.free] = 0
     owner -= 1
     return Regions.of(whole, owner)
 
 
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+def _flooded(passable: BoolArray, owner: OwnerArray, rooms: OwnerArray | None) -> OwnerArray:
+    """(H, W) the `owner` of cells after a flood of each of the `rooms`, and then of them all."""
+    if rooms is not None:
+        for room, window in windows_of(rooms).items():
+            own = rooms[window] == room
+            owner[window][own] = flood(passable[window] & own, owner[window] * own)[own]
+    return flood(passable, owner)
+
+
 _SLACK = 0.01  # cells: less than from one distance to the next where a robot has hardly room
 _NEARLY = 1e-5  # cells: less than from one distance to the next, more than a rounding
 _CELL = 0.7072  # of the side of a cell: from its centre to its corner, and no less
-
-
-def flood(passable: BoolArray, markers: OwnerArray) -> OwnerArray:
-    """(H, W) the marker that reaches each cell first, zero where none does.
-
-    The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
-    time, over their sides; those on other cells stay. The largest that reaches a cell has it.
-    """
-    framed, around = np.pad(passable, 1), np.pad(markers, 1)
-    marked = framed & (around > 0)
-    framed &= ~marked
-    ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & marked)
-    found, wide = around.ravel(), framed.shape[1]
-    empty = framed.view(np.uint8).ravel()  # 1 is empty, 2 is reached by the ring that grows
-    while len(ring):
-        grown_to = []
-        for step in (-wide, -1, 1, wide):  # one ring's cells on one side are all different
-            beside = ring + step
-            open_ = empty[beside]
-            reached = open_ > 0
-            cells = beside[reached]
-            found[cells] = np.maximum(found[cells], found[ring[reached]])
-            first = cells[open_[reached] == 1]
-            empty[first] = 2
-            grown_to.append(first)
-        ring = np.concatenate(grown_to)
-        empty[ring] = 0
-    return around[1:-1, 1:-1]
 
 
 def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:

@@ -18,12 +18,12 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import (
+    driven,
     open_rings,
     region_grid,
     regions_of,
     segment,
     segment_floorplan,
-    unentered,
 )
 from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.working_grid import upright_map, wall_angle
@@ -200,15 +200,16 @@ def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_i
     nothing = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
     none = segment(nothing, DEFAULT).labels
     assert regions_of(nothing, none, poses[:5], 1.0).tolist() == [0] * 5
-    assert unentered(nothing, none, poses[:5]).all()
+    assert (driven(nothing, none, poses[:5]) == -1).all()
 
 
 def test_a_room_without_a_keyframe_is_not_entered() -> None:
     division = segment(TWO_ROOMS, DEFAULT).labels
     first, second = drive(np.linspace(1.0, 4.0, 20)), drive(np.linspace(1.0, 8.0, 71))
     mine = division[tuple(TWO_ROOMS.cells_of(first[:1, :2])[0])]
-    assert (unentered(TWO_ROOMS, division, first) == (division != mine)).all()
-    assert (unentered(TWO_ROOMS, division, second) == (division < 0)).all()
+    alone = driven(TWO_ROOMS, division, first)
+    assert (alone == np.where(division == mine, mine, -1)).all()
+    assert (driven(TWO_ROOMS, division, second) == division).all()
 
 
 def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[int]:

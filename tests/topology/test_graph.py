@@ -290,6 +290,7 @@ def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() 
         ((slice(7, 44), slice(28, 30)), 4.0, [0]),  # half a metre is left
         ((slice(0, 44), slice(28, 30)), 3.4, [0]),  # hardly driven on
         ((slice(0, 44), slice(12, 14)), 4.0, [5, 0]),  # most of the way is behind it
+        ((slice(16, 28), slice(20, 36)), 4.0, [0]),  # a thing of which the laser sees the sides
     ],
 )
 def test_a_wall_across_a_submap_makes_two_of_it(
@@ -301,6 +302,8 @@ def test_a_wall_across_a_submap_makes_two_of_it(
     old = divide(world, labelled(poses, labels))
     now = replace(world, cells=world.cells.copy())
     now.cells[wall] = OCCUPIED
+    inside = tuple(slice(side.start + 1, side.stop - 1) for side in wall)
+    now.cells[inside] = world.cells[inside]
     found = walled_off(labels, poses, old, now, 5, 0.5)
     beyond = poses[:, 0] // 0.1 - wall[1].start
     assert set(found[beyond < 0].tolist()) == {parts[0]}
