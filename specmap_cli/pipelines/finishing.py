@@ -60,10 +60,9 @@ def finish(
         linked = replace(linked, borders=laid.borders, next_id=laid.next_id)
         linked = with_ways(linked, laid.regions, session.config.ways, labels.poses)
     topology, unapplied = named(linked, laid.regions, laid.edits, skipped)
-    driven = [edge for edge in topology.edges.values() if edge.kind == "traversed"]
-    narrow = narrow_links(
-        len(driven), sum(edge.path is None for edge in driven), session.config.ways.robot_radius_m
-    )
+    driven = {pair: edge for pair, edge in topology.edges.items() if edge.kind == "traversed"}
+    fits_m = {pair: edge.clearance_m for pair, edge in driven.items() if edge.path is None}
+    narrow = narrow_links(len(driven), fits_m, session.config.ways.robot_radius_m)
     before = (laid.quality if quality is None else quality).findings
     return FinishedMap(
         laid=laid,

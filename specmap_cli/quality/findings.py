@@ -6,7 +6,7 @@ Every finding has a code that stays the same from version to version; docs/quali
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import compress
 
 import numpy as np
@@ -149,6 +149,7 @@ LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND, N
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
 _NARROW_SHARE = 0.5  # of the links that the robot drove along: it cannot be so wide
+_TOLD = 5  # links with their ids
 _LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
 
@@ -337,17 +338,31 @@ def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatAr
     return best, motion
 
 
-def narrow_links(driven: int, narrow: int, radius_m: float) -> Iterator[Finding]:
-    """Links that the robot drove along, and that are too narrow for one of this radius."""
+def narrow_links(
+    driven: int, narrow: Mapping[tuple[int, int], float | None], radius_m: float
+) -> Iterator[Finding]:
+    """Links that the robot drove along, and that have no way for one of this radius.
+
+    `narrow` are the pairs of submaps with the radius that fits, None where no free floor joins
+    them; of all that it drove along, which are `driven`.
+    """
     if narrow:
-        share = narrow / driven
+        share = len(narrow) / driven
         severity, limit = graded(share, _NARROW_SHARE, math.inf)
+        links = [
+            f"{one}-{other} ({'shut' if fits_m is None else f'{fits_m:.2f} m fits'})"
+            for (one, other), fits_m in list(narrow.items())[:_TOLD]
+        ]
+        is_shut = all(fits_m is None for fits_m in narrow.values())
         yield Finding(
             code=NARROW,
             severity=severity,
-            message=f"{narrow:,} of the {counted(driven, 'link')} that the robot drove along have "
-            f"no way for a robot of {radius_m:g} m radius",
-            advice="build with `--set ways.robot_radius_m=...`, half the width of your robot",
+            message=f"{len(narrow):,} of the {counted(driven, 'link')} that the robot drove along "
+            f"have no way for a robot of {radius_m:g} m radius: {', '.join(links)}"
+            + ", ..." * (len(narrow) > _TOLD),
+            advice="look what stands there now"
+            if is_shut
+            else "build with `--set ways.robot_radius_m=...`, half the width of your robot",
             value=share,
             limit=limit,
         )

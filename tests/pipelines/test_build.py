@@ -162,6 +162,17 @@ def test_to_finish_changes_nothing_of_what_was_explored(flat_done: Finished) -> 
     assert again.classifiers.to_json() == flat_done.finished.classifiers.to_json()
 
 
+def test_the_links_that_are_too_narrow_for_the_robot_are_told(flat_done: Finished) -> None:
+    ways = QUICK.ways.model_copy(update={"robot_radius_m": 0.7})
+    wide = QUICK.model_copy(update={"ways": ways})
+    found = finished_by(flat_done.explored, flat_done.store, wide)
+    (finding,) = (one for one in found.quality.findings if one.code == "too-narrow")
+    edges = found.topology.edges
+    narrow = {pair: edge.clearance_m for pair, edge in edges.items() if edge.path is None}
+    fits = [f"{one}-{other} ({fits_m:.2f} m fits)" for (one, other), fits_m in narrow.items()]
+    assert finding.message.endswith(f" 0.7 m radius: {', '.join(fits)}")
+
+
 def test_keyframes_are_those_that_are_accepted(flat_done: Finished) -> None:
     """As the evaluation's hold-out does it: the rest is registered, and enters nothing else."""
     selector, turns = KeyframeSelector(QUICK.keyframes), itertools.cycle([False] * 4 + [True])

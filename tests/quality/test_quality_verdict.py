@@ -14,7 +14,12 @@ from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove
 from specmap_cli.quality.evidence import Evidence, Rival, Stretch, stretches_of
-from specmap_cli.quality.findings import is_of_recording, maybe_back, rival_places
+from specmap_cli.quality.findings import (
+    is_of_recording,
+    maybe_back,
+    narrow_links,
+    rival_places,
+)
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -399,3 +404,16 @@ def test_the_memory_does_not_grow_with_the_square_of_the_refuted_links() -> None
     assert told.value == 30.0
     assert not is_of_recording(told), "it is found anew"
     assert peak < 5e6, "one motion a pair of them is 24 MB"
+
+
+def test_links_without_a_way_are_told_with_the_radius_that_fits() -> None:
+    assert not list(narrow_links(4, {}, 0.25))
+    (some,) = narrow_links(4, {(0, 1): 0.118, (2, 7): None}, 0.25)
+    assert (some.severity, some.value, some.limit) == ("note", 0.5, 0.5)
+    assert some.message.startswith("2 of the 4 links that the robot drove along have no way")
+    assert some.message.endswith("0.25 m radius: 0-1 (0.12 m fits), 2-7 (shut)")
+    assert "robot_radius_m" in some.advice
+    (shut,) = narrow_links(9, dict.fromkeys([(0, other) for other in range(1, 8)]), 0.25)
+    assert shut.severity == "doubtful"
+    assert shut.message.endswith("0-5 (shut), ...")
+    assert shut.advice == "look what stands there now"
