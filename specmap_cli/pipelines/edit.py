@@ -205,7 +205,7 @@ def _made_anew(stored: Map, found: Drawn, progress: Progress, directory: Path) -
     )
     with stored.scans() as store:
         session = Session(config, store, progress)
-        laid = with_grid(session, replace(laid, edits=found.edits))
+        laid = with_grid(session, replace(laid, edits=found.edits)).keeping(stored.regions)
         prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
         run = {**stored.run, "versions": versions(), "counts": finished.counts}

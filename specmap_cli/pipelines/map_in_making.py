@@ -8,7 +8,7 @@ learned of the submaps, and how they are linked: all that a map directory is wri
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -36,7 +36,8 @@ from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.segmentation.division import driven
+from specmap_cli.segmentation.division import driven, regions_of
+from specmap_cli.topology.graph import entered_before
 from specmap_cli.topology.regions import OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
@@ -125,6 +126,15 @@ class LaidOut:
     def regions(self) -> Regions:
         """The division of the cells of the whole grid among the submaps."""
         return divide(self.whole, self.labels, fences_of(self.borders), self.rooms)
+
+    def keeping(self, known: Regions) -> LaidOut:
+        """The map whose submaps keep the floor that they had in `known`, entered or not."""
+        if self.division is None:
+            return self
+        division = self.division.array
+        entered = regions_of(self.whole, division, self.labels.poses, 0.0)
+        kept = entered_before(known, self.whole, division, entered)
+        return replace(self, division=Packed.of(kept))
 
     def way_through(self, poses: FloatArray) -> FloatArray:
         """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""

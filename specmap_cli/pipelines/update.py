@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import (
     NOT_ALIGNED,
     InputError,
@@ -66,7 +65,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import entered_before, inherited, walled_off
+from specmap_cli.topology.graph import inherited, walled_off
 from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -270,9 +269,8 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     submaps = walled_off(submaps, poses, old.regions, laid.whole, next_id, least_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(next_id, 1 + int(submaps.max()))
-    entered = divided[fewer.left]
-    division = Packed.of(entered_before(old.regions, laid.whole, laid.division.array, entered))
-    return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id, division=division))
+    laid = replace(laid, labels=labels, next_id=next_id)
+    return replace(fewer, laid=laid.keeping(old.regions))
 
 
 def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> LaidOut:

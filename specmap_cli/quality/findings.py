@@ -353,13 +353,13 @@ def narrow_links(
             f"{one}-{other} ({'shut' if fits_m is None else f'{fits_m:.2f} m fits'})"
             for (one, other), fits_m in list(narrow.items())[:_TOLD]
         ]
+        links += ["..."] * (len(narrow) > _TOLD)
         is_shut = all(fits_m is None for fits_m in narrow.values())
         yield Finding(
             code=NARROW,
             severity=severity,
             message=f"{len(narrow):,} of the {counted(driven, 'link')} that the robot drove along "
-            f"have no way for a robot of {radius_m:g} m radius: {', '.join(links)}"
-            + ", ..." * (len(narrow) > _TOLD),
+            f"have no way for a robot of {radius_m:g} m radius: {', '.join(links)}",
             advice="look what stands there now"
             if is_shut
             else "build with `--set ways.robot_radius_m=...`, half the width of your robot",

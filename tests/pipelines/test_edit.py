@@ -10,22 +10,26 @@ from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from specmap_cli import read_map
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Trajectory
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, SegmentationConfig
 from specmap_cli.exports.table import export_map
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines import laying_out
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.pipelines.update import build_like, update_map
+from specmap_cli.segmentation.division import Segmentation, segment
 from specmap_cli.topology.navigation import crossing_of, with_ways
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import TopologicalMap
@@ -209,6 +213,27 @@ class TestBorders:
         assert undone.labels.submaps.tolist() == before.labels.submaps.tolist()
         assert undone.regions.owner.tolist() == before.regions.owner.tolist()
         assert undone.topology.next_id == new + 1  # an id is given once
+
+    def test_floor_of_others_stays_theirs_though_it_is_found_to_be_a_room_nobody_entered(
+        self, built: Built, own: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As it is after an update, when the division of all recordings finds one there."""
+        before, (room, other) = read_map(own), built.rooms[:2]
+        ways = cKDTree(before.labels.poses[:, :2])
+        cells = np.argwhere(before.regions.owner == other)
+        apart = cells[ways.query(before.map_grid.centres_of(cells))[0] > 0.5]
+        assert len(apart) > 100
+        divided = segment
+
+        def with_a_room_more(grid: GridMap, config: SegmentationConfig) -> Segmentation:
+            found = divided(grid, config)
+            labels = found.labels.copy()
+            labels[tuple(apart.T)] = found.count
+            return replace(found, labels=labels)
+
+        monkeypatch.setattr(laying_out, "segment", with_a_room_more)
+        edit(own, split(before, room))
+        assert (read_map(own).regions.owner[tuple(apart.T)] == other).all()
 
     def test_a_merge_of_rooms_without_a_link_is_told(self, built: Built, tmp_path: Path) -> None:
         """In the order of the requests: with the corridor, each of the rooms is linked."""
