@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arrays import Packed
+from specmap_cli.core.arrays import Packed, windows_of
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray as BoolArray
 from specmap_cli.core.records import IntArray
@@ -258,13 +258,21 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
-def flood(passable: BoolArray, markers: NDArray[Any]) -> NDArray[Any]:
+def flood(
+    passable: BoolArray, markers: NDArray[Any], rooms: NDArray[Any] | None = None
+) -> NDArray[Any]:
     """(H, W) the marker that reaches each cell first, zero where none does.
 
     The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
-    time, over their sides; those on other cells stay. The largest that reaches a cell has it.
+    time, over their sides; those on other cells stay. The largest that reaches a cell has it. In
+    each of the `rooms` (H, W), which have numbers from zero on, they do so before they go on.
     """
     framed, around = np.pad(passable, 1), np.pad(markers, 1)
+    if rooms is not None:
+        inside = around[1:-1, 1:-1]
+        for room, window in windows_of(rooms).items():
+            own = rooms[window] == room
+            inside[window][own] = flood(passable[window] & own, inside[window] * own)[own]
     marked = framed & (around > 0)
     framed &= ~marked
     ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & marked)

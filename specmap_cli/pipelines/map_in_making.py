@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.core.arrays import Packed
+from specmap_cli.core.arrays import Packed, windows_of
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
@@ -37,8 +37,7 @@ from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.segmentation.division import driven, regions_of
-from specmap_cli.topology.graph import entered_before
-from specmap_cli.topology.regions import OwnerArray, Regions, divide
+from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
@@ -47,6 +46,8 @@ from specmap_cli.topology.topological_map import (
     fences_of,
     starts_of,
 )
+
+_MOST = 0.5  # share of a region that makes it a part of what was there
 
 Breaks = Mapping[int, Bridge | None]
 
@@ -128,13 +129,23 @@ class LaidOut:
         return divide(self.whole, self.labels, fences_of(self.borders), self.rooms)
 
     def keeping(self, known: Regions) -> LaidOut:
-        """The map whose submaps keep the floor that they had in `known`, entered or not."""
+        """The map whose submaps keep the floor that they had in `known`.
+
+        A region without a keyframe, of which most was theirs, counts as entered: it becomes one
+        with the region of the first keyframe.
+        """
         if self.division is None:
             return self
-        division = self.division.array
+        division = self.division.array.copy()
         entered = regions_of(self.whole, division, self.labels.poses, 0.0)
-        kept = entered_before(known, self.whole, division, entered)
-        return replace(self, division=Packed.of(kept))
+        for region, window in windows_of(division).items():
+            if region not in entered:
+                mine = division[window] == region
+                cells = np.argwhere(mine) + [part.start for part in window]
+                owner = known.grid.under(self.whole.centres_of(cells), known.owner, NOBODY)
+                if np.mean(owner != NOBODY) > _MOST:
+                    division[window][mine] = entered[0]
+        return replace(self, division=Packed.of(division))
 
     def way_through(self, poses: FloatArray) -> FloatArray:
         """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""

@@ -8,8 +8,7 @@ keeps its id and its border, only new space is divided afresh. A new keyframe in
 old submap belongs to it. Beyond it, another division says what hangs together: the rest of a room
 that was half seen goes to the submap of that room, anything else becomes a new submap with an id
 that no other ever had. So does a room that the robot had only looked into from its door, and what
-a new wall cuts off from its submap (`walled_off`). What a submap had stays its own, though the
-other division finds a room there that no robot entered (`entered_before`).
+a new wall cuts off from its submap (`walled_off`).
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_l
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.grids.gridmap import GridMap, clearance_of, nearest_values
-from specmap_cli.topology.regions import NOBODY, OwnerArray, Pair, Regions
+from specmap_cli.topology.regions import NOBODY, Pair, Regions
 from specmap_cli.topology.topological_map import (
     Break,
     EdgeKind,
@@ -165,8 +164,7 @@ def _traversals(
     return found
 
 
-# Share of a submap in one region of the joint map, or of one in submaps: they are the same place.
-_MOST = 0.5
+_MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
 
 
 def inherited(
@@ -249,24 +247,6 @@ def walled_off(
                     labels[mine[(whole == part) & (piece == one)]] = next_id
                     next_id += 1
     return labels
-
-
-def entered_before(
-    old: Regions, grid: GridMap, division: OwnerArray, entered: IntArray
-) -> OwnerArray:
-    """The `division` (H, W) of `grid`, where all regions that submaps had were entered.
-
-    `old` are the submaps as they were, `entered` (m,) are the regions of the keyframes. A region
-    without any, of which most was theirs, becomes one with the region of the first keyframe.
-    """
-    division = division.copy()
-    for region, window in windows_of(division).items():
-        if region not in entered:
-            mine = division[window] == region
-            centres = grid.centres_of(np.argwhere(mine) + [part.start for part in window])
-            if np.mean(old.grid.under(centres, old.owner, NOBODY) != NOBODY) > _MOST:
-                division[window][mine] = entered[0]
-    return division
 
 
 def by_appearance(labels: IntArray) -> IntArray:

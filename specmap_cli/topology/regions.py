@@ -308,24 +308,15 @@ def divide(
     owner[rows, columns] = submaps + 1
     fenced = drawn(fences, whole)
     for cells in (entered & ~fenced, entered):
-        owner = _flooded(cells, owner, rooms)
+        owner = flood(cells, owner, rooms)
     entered = owner > 0
     passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
     for cells in (passable & ~fenced, passable):
-        owner = _flooded(cells, owner, rooms)
+        owner = flood(cells, owner, rooms)
     del passable, entered, fenced, cells  # masks of the whole map, which what follows needs not
     owner[~whole.free] = 0
     owner -= 1
     return Regions.of(whole, owner)
-
-
-def _flooded(passable: BoolArray, owner: OwnerArray, rooms: OwnerArray | None) -> OwnerArray:
-    """(H, W) the `owner` of cells after a flood of each of the `rooms`, and then of them all."""
-    if rooms is not None:
-        for room, window in windows_of(rooms).items():
-            own = rooms[window] == room
-            owner[window][own] = flood(passable[window] & own, owner[window] * own)[own]
-    return flood(passable, owner)
 
 
 _SLACK = 0.01  # cells: less than from one distance to the next where a robot has hardly room
