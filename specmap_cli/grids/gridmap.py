@@ -8,7 +8,7 @@ is the lowest y. Below are what a laser would measure in it, and where labelled 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arrays import Packed, windows_of
+from specmap_cli.core.arrays import Packed, Window
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray as BoolArray
 from specmap_cli.core.records import IntArray
@@ -258,21 +258,21 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
-def flood(
-    passable: BoolArray, markers: NDArray[Any], rooms: NDArray[Any] | None = None
-) -> NDArray[Any]:
+Piece = tuple[Window, BoolArray]  # rows and columns of a grid (H, W), and which cells (h, w) there
+
+
+def flood(passable: BoolArray, markers: NDArray[Any], rooms: Iterable[Piece] = ()) -> NDArray[Any]:
     """(H, W) the marker that reaches each cell first, zero where none does.
 
     The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
     time, over their sides; those on other cells stay. The largest that reaches a cell has it. In
-    each of the `rooms` (H, W), which have numbers from zero on, they do so before they go on.
+    each of the `rooms` they do so before they go on.
     """
-    framed, around = np.pad(passable, 1), np.pad(markers, 1)
-    if rooms is not None:
-        inside = around[1:-1, 1:-1]
-        for room, window in windows_of(rooms).items():
-            own = rooms[window] == room
-            inside[window][own] = flood(passable[window] & own, inside[window] * own)[own]
+    around = np.pad(markers, 1)
+    inside = around[1:-1, 1:-1]
+    for window, own in rooms:
+        inside[window][own] = flood(passable[window] & own, inside[window] * own)[own]
+    framed = np.pad(passable, 1)
     marked = framed & (around > 0)
     framed &= ~marked
     ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & marked)
@@ -291,7 +291,7 @@ def flood(
             grown_to.append(first)
         ring = np.concatenate(grown_to)
         empty[ring] = 0
-    return around[1:-1, 1:-1]
+    return inside
 
 
 def cast_rays(

@@ -13,7 +13,7 @@ from typing import Any
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.records import Labels
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap, Piece
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import (
     EDITS,
@@ -30,7 +30,7 @@ from specmap_cli.maps.edits import (
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.identity import Redrawn, redrawn
 from specmap_cli.topology.navigation import Shut, shut_by, with_detours, with_shut
-from specmap_cli.topology.regions import OwnerArray, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     Said,
@@ -155,7 +155,7 @@ def drawn(
     borders: Sequence[BorderEdit],
     edits: Edits,
     next_id: int,
-    rooms: OwnerArray | None,
+    rooms: Collection[Piece] | None,
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]

@@ -20,7 +20,7 @@ from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, Closure, Labels, Trajectory
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap, Piece
 from specmap_cli.layout.joining import gaps_of
 from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
@@ -37,7 +37,7 @@ from specmap_cli.quality.findings import is_of_recording, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.segmentation.division import driven, regions_of
-from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
+from specmap_cli.topology.regions import NOBODY, Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
@@ -117,8 +117,8 @@ class LaidOut:
         return self.drawn
 
     @property
-    def rooms(self) -> OwnerArray | None:
-        """(H, W) the region of each cell the robot entered, or NOBODY; None if nobody knows."""
+    def rooms(self) -> list[Piece] | None:
+        """The regions that the robot entered; None if nobody knows."""
         if self.division is None:
             return None
         return driven(self.whole, self.division.array, self.labels.poses)

@@ -32,6 +32,7 @@ from specmap_cli.grids.gridmap import (
     CellArray,
     GridMap,
     LengthArray,
+    Piece,
     bands_of,
     clearance_of,
     joined,
@@ -248,15 +249,14 @@ def regions_of(
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
 
 
-def driven(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> LabelArray:
-    """(H, W) the region of each cell as in `regions_of`, or -1 in those without a keyframe.
+def driven(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> list[Piece]:
+    """The regions with a keyframe, as in `regions_of`: where each is, and its cells there.
 
-    These are what the robot saw through doors and windows, and never drove into.
+    The others are what the robot saw through doors and windows, and never drove into.
     """
-    number = np.full(int(division.max(initial=-1)) + 2, -1, dtype=division.dtype)
-    there = _regions_at(grid, division, poses)
-    number[there] = there  # the last is no region
-    return looked_up(number, division)
+    there = set(_regions_at(grid, division, poses).tolist())
+    windows = {region: w for region, w in windows_of(division).items() if region in there}
+    return [(window, division[window] == region) for region, window in windows.items()]
 
 
 def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> IntArray:

@@ -11,7 +11,7 @@ keeps of them is enough to find the submaps as they were before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Count, Value, runs_of, titled
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, flood
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, Piece, flood
 from specmap_cli.topology.regions import (
     NOBODY,
     OwnerArray,
@@ -241,13 +241,13 @@ def redrawn(
     borders: Sequence[BorderEdit],
     requested: Sequence[BorderEdit],
     next_id: int,
-    rooms: OwnerArray | None = None,
+    rooms: Collection[Piece] | None = None,
 ) -> Redrawn:
     """Make the borders that are `requested`, in order, instead of those that the labels have.
 
     What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
-    ever had: splits without an id get one of these. A submap ends where its `rooms` (H, W) do, as
-    in `divide`.
+    ever had: splits without an id get one of these. A submap ends where its `rooms` do, as in
+    `divide`.
     """
     if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
@@ -308,7 +308,11 @@ def carried(
 
 
 def _made(
-    whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit, rooms: OwnerArray | None
+    whole: GridMap,
+    labels: Labels,
+    state: Redrawn,
+    border: BorderEdit,
+    rooms: Collection[Piece] | None,
 ) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):

@@ -12,7 +12,7 @@ long strip, straight or bent, that is its width; for a square it is two thirds o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ from specmap_cli.grids.gridmap import (
     BoolArray,
     GridMap,
     LengthArray,
+    Piece,
     cell_distances,
     clearance_of,
     contacts,
@@ -282,21 +283,29 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
 
 
 def divide(
-    whole: GridMap, labels: Labels, fences: Sequence[Line] = (), rooms: OwnerArray | None = None
+    whole: GridMap,
+    labels: Labels,
+    fences: Sequence[Line] = (),
+    rooms: Collection[Piece] | None = None,
 ) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
     The keyframes flood the cells where a robot has room, and from there the free cells, so that
     regions are connected and end at walls, and go through no slit. Cells that a robot could not get
-    near, such as those seen through a gap or a window, are nobody's. `rooms` (H, W) are numbers of
-    those that were entered; what is in none is nobody's. A region grows out of a room, and across
-    the `fences`, lines in the map, only where nothing else is left: not from a keyframe on one,
-    either.
+    near, such as those seen through a gap or a window, are nobody's. `rooms` are those that were
+    entered; what is in none is nobody's. A region grows out of a room, and across the `fences`,
+    lines in the map, only where nothing else is left: not from a keyframe on one, either.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
     rows, columns = places[inside].T
-    passable = whole.free if rooms is None else whole.free & (rooms != NOBODY)
+    passable, pieces = whole.free, rooms or ()
+    if rooms is not None:
+        known = np.zeros_like(passable)
+        for window, cells in rooms:
+            known[window] |= cells
+        passable &= known
+        del known
     room = _ROBOT_RADIUS_M / whole.resolution - _SLACK
     entered = ~within(np.pad(whole.free, 1).view(np.uint8), room)[1:-1, 1:-1]
     entered &= passable
@@ -306,14 +315,16 @@ def divide(
     small = np.int16 if submaps.max(initial=0) < np.iinfo(np.int16).max - 1 else np.int32
     owner: OwnerArray = np.zeros(passable.shape, dtype=small)
     owner[rows, columns] = submaps + 1
-    fenced = drawn(fences, whole)
-    for cells in (entered & ~fenced, entered):
-        owner = flood(cells, owner, rooms)
+    fenced = drawn(fences, whole) if fences else None
+    if fenced is not None:
+        owner = flood(entered & ~fenced, owner, pieces)
+    owner = flood(entered, owner, pieces)
     entered = owner > 0
     passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
-    for cells in (passable & ~fenced, passable):
-        owner = flood(cells, owner, rooms)
-    del passable, entered, fenced, cells  # masks of the whole map, which what follows needs not
+    if fenced is not None:
+        owner = flood(passable & ~fenced, owner, pieces)
+    owner = flood(passable, owner, pieces)
+    del passable, entered, fenced  # masks of the whole map, which what follows needs not
     owner[~whole.free] = 0
     owner -= 1
     return Regions.of(whole, owner)

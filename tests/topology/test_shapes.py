@@ -122,21 +122,22 @@ def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
 
 def test_a_room_that_was_not_entered_is_nobodys_up_to_its_door() -> None:
     grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
-    entered = np.zeros((4, 10), dtype=np.int16)
-    entered[:, 6:] = NOBODY
+    entered = [(np.s_[0:4, 0:6], np.ones((4, 6), dtype=np.bool_))]
     regions = divide(grid, labels_at({3: (1.5, 1.5)}), rooms=entered)
-    np.testing.assert_array_equal(regions.owner, np.where(entered == NOBODY, NOBODY, 3))
+    np.testing.assert_array_equal(regions.owner[:, :6], 3)
+    np.testing.assert_array_equal(regions.owner[:, 6:], NOBODY)
     assert [piece.area_m2 for piece in regions.seen] == [16.0]
     standing = divide(grid, labels_at({3: (7.5, 1.5)}), rooms=entered).owner
     assert np.argwhere(standing == 3).tolist() == [[1, 7]], "where the robot stood is its own"
 
 
 def test_a_submap_ends_with_its_room_though_it_is_the_nearest_beyond() -> None:
-    """The robot stood near a door of room 7, and in the corridor 9 far from there."""
+    """The robot stood near a door of the room, and in the corridor far from there."""
     cells = np.full((20, 30), FREE, dtype=np.uint8)
     cells[10] = OCCUPIED
     cells[10, 3:7] = FREE
-    rooms = np.repeat(np.where(np.arange(20) < 10, 7, 9)[:, None], 30, axis=1)
+    room = np.ones((10, 30), dtype=np.bool_)
+    rooms = [(np.s_[0:10, 0:30], room), (np.s_[10:20, 0:30], room)]
     grid, stood = GridMap(cells, 0.1), labels_at({2: (0.5, 0.9), 4: (2.9, 1.9)})
     leaked, whole = (divide(grid, stood, rooms=known).owner for known in (None, rooms))
     assert 2 in leaked[11:]
