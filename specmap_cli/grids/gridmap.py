@@ -256,8 +256,6 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-
-
 Piece = tuple[Window, BoolArray]  # rows and columns of a grid (H, W), and which cells (h, w) there
 
 

@@ -1,8 +1,9 @@
 """Which submap each cell of the whole map belongs to, its shape, and where submaps touch.
 
 The grids of neighbouring submaps overlap: the robot saw through each door from both sides. So a
-cell belongs to the submap from which the robot would reach it first. Fronts spread through free
-cells from where the robot drove; they cross a wall or a fence only when nothing else is left.
+cell belongs to the submap from which the robot would reach it first, from within its room where it
+is known. Fronts spread through free cells from where the robot drove; they leave a room and cross a
+wall or a fence only when nothing else is left.
 
 The outline of a submap is the outer contour of its free cells, and says whether it is a corridor, a
 hall or a room: its mean width is four times the mean distance of its points from the border. For a
