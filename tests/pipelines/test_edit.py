@@ -223,10 +223,9 @@ class TestBorders:
         cells = np.argwhere(before.regions.owner == other)
         apart = cells[ways.query(before.map_grid.centres_of(cells))[0] > 0.5]
         assert len(apart) > 100
-        divided = segment
 
         def with_a_room_more(grid: GridMap, config: SegmentationConfig) -> Segmentation:
-            found = divided(grid, config)
+            found = segment(grid, config)
             labels = found.labels.copy()
             labels[tuple(apart.T)] = found.count
             return replace(found, labels=labels)
