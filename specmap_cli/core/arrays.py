@@ -27,6 +27,15 @@ def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
     return list(pairwise([0, *cuts.tolist(), len(values)]))
 
 
+def carried_on(labels: NDArray[Any], stays: NDArray[np.bool_]) -> NDArray[Any]:
+    """Labels (n,) of which each that does not stay is as the last one before it that does.
+
+    Those before all that stay are as the first of these; one stays at the least.
+    """
+    source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
+    return np.asarray(labels[np.maximum.accumulate(source)])
+
+
 def windows_of(labels: NDArray[np.integer[Any]]) -> dict[int, Window]:
     """The rows and columns that hold each label of an image (H, W), by label; none for negatives.
 

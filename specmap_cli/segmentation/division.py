@@ -17,7 +17,7 @@ from itertools import zip_longest
 import cv2
 import numpy as np
 
-from specmap_cli.core.arrays import Packed, windows_of
+from specmap_cli.core.arrays import Packed, carried_on, windows_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.process import give_memory_back
@@ -245,8 +245,7 @@ def regions_of(
     stays = way[labels] >= least_m
     if not stays.any():
         return np.full_like(labels, np.bincount(labels).argmax())
-    source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
-    return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
+    return carried_on(labels, stays)
 
 
 def driven(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> list[Piece]:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import runs, windows_of
+from specmap_cli.core.arrays import carried_on, runs, windows_of
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray, Labels
@@ -207,8 +207,7 @@ def inherited(
     ]
     stays = ~np.isin(own, grazed)
     if stays.any():
-        source = np.where(stays, np.arange(len(own)), int(np.argmax(stays)))
-        labels[count:] = own[np.maximum.accumulate(source)]
+        labels[count:] = carried_on(own, stays)
     new = labels >= next_id
     labels[new] = next_id + by_appearance(labels[new])  # new ids have no gaps
     return labels

@@ -97,7 +97,7 @@ def test_labels_that_keep_their_word_have_no_error_others_one_weighted_by_labels
 
 
 def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None:
-    along = np.arange(-12.0, 72.0, 0.03)
+    along = np.arange(-12.0, 72.0, 0.06)
     bays = np.where(along % 3.0 < 1.0, 3.5, 3.0)
     bays[along > 50.0] += 0.4 * (np.floor(along[along > 50.0]) % 4 == 0)
     facade, once = np.column_stack([along, bays]), np.arange(0.0, 60.0, 0.5)

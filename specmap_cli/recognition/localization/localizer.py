@@ -59,7 +59,7 @@ class Label:
 class Fix:
     """A scan's pose in the map, its covariance (3, 3) in x, y and angle, its score in [0, 1].
 
-    `probability` is that of the place; the covariance is that of all places that it may be.
+    `probability` is that of the place in the map; the covariance is that of all that it may be.
     """
 
     pose: Pose2

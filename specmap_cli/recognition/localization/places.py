@@ -47,6 +47,9 @@ _MOST = 8  # places followed at once: each costs a match a look
 # Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
 # for metres.
 _TEMPER = 0.25
+# Before any view, how likely the robot is elsewhere than at the places, against its being in the
+# map: for a label, where a search missed it; for a pose, outside of the map, too.
+_MISSED, _OUTSIDE = 0.1, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +232,7 @@ class WeighedPlaces:
 
     def follow(self, posed: PosedScan, belief: FloatArray) -> Place | None:
         """The place that leads, with its pose at a scan; None where none does."""
-        chances = self.chances(belief)
+        chances = self.chances(belief, _OUTSIDE)
         if posed.lost or not len(chances):
             return None
         best = int(chances.argmax())
@@ -268,10 +271,10 @@ class WeighedPlaces:
         self.places = [kept[k] for k in best]
         self._owners = [self._owners[k] for k in best]
 
-    def chances(self, belief: FloatArray) -> FloatArray:
-        """(n,) probabilities of the places; what they lack to one is that of all else.
+    def chances(self, belief: FloatArray, elsewhere: float = _MISSED) -> FloatArray:
+        """(n,) probabilities of the places; what they lack to one is that of being elsewhere.
 
-        All else is as likely before any view as the map is: a search may miss the place.
+        Before any view that is `elsewhere` times as likely as that the robot is in the map.
         """
         tempered = np.array([max(chance, SMALLEST) ** _TEMPER for chance in belief.tolist()])
         prior = dict(zip(self.ids, (tempered / tempered.sum()).tolist(), strict=True))
@@ -279,7 +282,7 @@ class WeighedPlaces:
             math.exp(each.weight) * prior[owner]
             for each, owner in zip(self.places, self._owners, strict=True)
         ]
-        return np.asarray(np.array(heavy) / (sum(heavy) + 1.0), dtype=np.float64)
+        return np.asarray(np.array(heavy) / (sum(heavy) + elsewhere), dtype=np.float64)
 
     def mixed(self, belief: FloatArray) -> FloatArray:
         """(m,) chances of the submaps: those of the places, and of the filter for all else."""

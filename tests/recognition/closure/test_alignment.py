@@ -234,7 +234,7 @@ def test_maps_without_walls_say_so() -> None:
     refused(MapToAlign(whole=unknown, grids={}, frames={}), seen(ALIKE, [0]))
 
 
-_STEPS = [k * 0.5 for k in range(-6, 7) if k]
+_STEPS = [-1.5, -1.0, -0.5, 0.5, 1.0, 1.5]
 
 
 def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
@@ -246,7 +246,7 @@ def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
     return replace(seen(hallway, (0, 1, 3, 4, 5)), longer_m=longer_m)
 
 
-@pytest.mark.parametrize("longer_m", [-1.5, 0.0, 1.5])
+@pytest.mark.parametrize("longer_m", [-1.0, 0.0, 1.0])
 def test_a_hallway_whose_length_was_guessed_is_found_by_another_length(longer_m: float) -> None:
     old, new = of_length(10.0), of_length(10.0 - longer_m)
     bent = [of_length(10.0 - longer_m, step) for step in _STEPS]
@@ -255,7 +255,7 @@ def test_a_hallway_whose_length_was_guessed_is_found_by_another_length(longer_m:
     assert found.longer_m == longer_m
     if longer_m:
         refused(old, new)
-        assert f"was made 1.5 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
+        assert f"was made 1.0 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
     else:  # another building stays refused, whatever the length
         assert align(seen(random_floor(7)), new, bent).old_from_new is None
 

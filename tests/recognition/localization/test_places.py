@@ -124,6 +124,16 @@ def test_a_view_in_doubt_takes_no_pose_unless_another_place_explains_it_or_none_
         assert (home.places.follow(scan, EVEN) is not None) == leads
 
 
+def test_a_label_follows_a_place_before_its_pose_is_told_as_the_robot_may_be_outside() -> None:
+    home = Home()
+    home.see(2, ASIDE)
+    scan, leader = home.scan(2, ASIDE), home.places.places[0]
+    for weight, leads in ((15.0, False), (90.0, True)):  # a third of it is the room's
+        home.places.places, home.places._owners = [replace(leader, weight=math.log(weight))], [2]
+        assert home.places.mixed(EVEN)[2] > 0.95
+        assert (home.places.follow(scan, EVEN) is not None) == leads
+
+
 def test_along_a_bare_wall_a_place_goes_with_the_motion_and_across_with_the_match() -> None:
     grid = GridMap(np.full((60, 400), FREE, dtype=np.uint8), CELL_M, (-10.0, -1.5))
     grid.cells[8:10], grid.cells[50:52] = OCCUPIED, OCCUPIED
