@@ -100,10 +100,10 @@ def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None
     along = np.arange(-12.0, 72.0, 0.06)
     bays = np.where(along % 3.0 < 1.0, 3.5, 3.0)
     bays[along > 50.0] += 0.4 * (np.floor(along[along > 50.0]) % 4 == 0)
-    facade, once = np.column_stack([along, bays]), np.arange(0.0, 60.0, 0.5)
+    facade, once = np.column_stack([along, bays]), np.arange(0.0, 60.0, 0.75)
     assert not list(passes(Drive(once, facade, 12.0)))
     there_and_back = np.concatenate([once, once[::-1]])
-    off_m = np.where(np.arange(240) < 120, 0.0, 0.5)
+    off_m = np.where(np.arange(160) < 80, 0.0, 0.5)
     right = list(passes(Drive(there_and_back, facade, 12.0)))
     assert len(right) > 10
     assert not any(one.is_doubled for one in right)

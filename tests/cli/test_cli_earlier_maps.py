@@ -84,6 +84,7 @@ def test_an_update_of_a_map_that_keeps_no_scans_says_what_to_do(
     told.fails(3, f"has no {KEYFRAMES}", "build the map again")
 
 
+@pytest.mark.parametrize("earlier", ARCHIVES[::3], ids=lambda path: path.stem, indirect=True)
 def test_a_log_is_added_if_it_tells_its_stays(earlier: Path, tmp_path: Path, run: Run) -> None:
     told = run("update", earlier, AGAIN, "-o", tmp_path / "updated", "--allow-apart")
     if (earlier / KEYFRAMES).exists() and "schema 1" not in read_map(earlier).note:

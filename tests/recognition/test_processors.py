@@ -100,7 +100,7 @@ def test_features_and_matches_are_the_same_without_avx_512() -> None:
 def test_a_build_gives_the_same_bytes_under_every_kernel(flat: GridMap, tmp_path: Path) -> None:
     log, written = tmp_path / "flat.mcap", []
     robot = {"field_of_view_deg": 360, "beams": 120, "rate_hz": 2, "speed_mps": 0.9}
-    simulate(flat, SimulationOptions.model_validate({**robot, "max_duration_s": 45}), log)
+    simulate(flat, SimulationOptions.model_validate({**robot, "max_duration_s": 30}), log)
     for kernel in RUNNABLE:
         out = tmp_path / kernel
         settings = ("recognition.rounds=6", "localization.augmentation=20")
