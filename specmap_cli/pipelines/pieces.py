@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, travelled
 from specmap_cli.core.records import Trajectory
 from specmap_cli.grids.keyframes import integrate_keyframes
+from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout, corrected, rows_of
@@ -77,25 +78,51 @@ def pieces_placed(session: Session, pieces: Pieces, tracked: Trajectory) -> Piec
         apart = {**breaks, **dict.fromkeys(numbers)}
         return relax(store, inner, apart, session.config.relaxation).poses
 
+    drawn = _Drawn(session, layout.poses)
     for start, end in pairwise([*numbers, len(store)]):
         way = travelled(pieces.layout.poses)
         if way[end - 1] - way[start] >= max(_LEAST_M, _LEAST_SHARE * way[-1]):
-            pieces = _placed(session, pieces, range(start, end), own)
+            if drawn.poses is not pieces.layout.poses:
+                drawn = _Drawn(session, pieces.layout.poses)
+            pieces = _placed(session, pieces, range(start, end), own, drawn)
     return pieces
 
 
-def _placed(session: Session, pieces: Pieces, span: range, own: Callable[[], FloatArray]) -> Pieces:
+class _Drawn:
+    """The map of a piece as it is laid out, and that of all before it, to which the last one adds.
+
+    Else all before would be drawn anew for each piece.
+    """
+
+    def __init__(self, session: Session, poses: FloatArray) -> None:
+        self.poses = poses
+        self._session, self._end = session, 0
+        self._before, self._piece = (OccupancyGrid(session.config.grid) for _ in range(2))
+
+    def go_on(self, span: range) -> tuple[MapToAlign, MapToAlign]:
+        """The maps before a piece, the keyframes of a span, and of the piece; in their order."""
+        between = range(self._end, span.start)  # a piece that was not asked, and the first one
+        for grid in (self._piece, _grid(self._session, self.poses, between)):
+            self._before.include(grid)
+        self._piece, self._end = _grid(self._session, self.poses, span), span.stop
+        return _to_align(self._before), _to_align(self._piece)
+
+
+def _placed(
+    session: Session, pieces: Pieces, span: range, own: Callable[[], FloatArray], drawn: _Drawn
+) -> Pieces:
     """A piece, the keyframes of a span, held against all before.
 
-    It is held as it is laid out. Where it does not lie right so, it has `own` poses (n, 3), as it
-    is by itself: what ties it to others may be wrong, and bends it.
+    It is held as it is laid out and `drawn`. Where it does not lie right so, it has `own` poses
+    (n, 3), as it is by itself: what ties it to others may be wrong, and bends it.
     """
     start, laid, fit = span.start, pieces.layout.poses, None
-    before, middle = _to_align(session, laid, range(start)), start + len(span) // 2
-    fitting = replace(pieces, fitting=pieces.fitting | {start})
+    before, here = drawn.go_on(span)
+    middle, fitting = start + len(span) // 2, replace(pieces, fitting=pieces.fitting | {start})
     for bent in (True, False):
         poses = laid if bent else own()
-        places = align(before, _to_align(session, poses, span)).places
+        new = here if bent else _to_align(_grid(session, poses, span))
+        places = align(before, new).places
         if not places:
             continue
         as_laid = Pose2(*laid[middle].tolist()) @ Pose2(*poses[middle].tolist()).inverse()
@@ -123,10 +150,15 @@ def _placed(session: Session, pieces: Pieces, span: range, own: Callable[[], Flo
     return replace(pieces, rivals=(*pieces.rivals, Rival(start, elsewhere[0].distance)))
 
 
-def _to_align(session: Session, poses: FloatArray, span: range) -> MapToAlign:
-    """The map that the keyframes of a span make at poses (n, 3), as the alignment takes it."""
+def _grid(session: Session, poses: FloatArray, span: range) -> OccupancyGrid:
+    """The grid that the keyframes of a span make at poses (n, 3)."""
     placed = poses[span.start : span.stop]
-    whole = integrate_keyframes(session.store, span, placed, session.config.grid).snapshot()
+    return integrate_keyframes(session.store, span, placed, session.config.grid)
+
+
+def _to_align(grid: OccupancyGrid) -> MapToAlign:
+    """A map as the alignment takes it."""
+    whole = grid.snapshot()
     return MapToAlign(whole=whole, grids={0: whole}, frames={0: IDENTITY})
 
 

@@ -8,10 +8,11 @@ import pytest
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.pipelines.pieces import Pieces, pieces_placed
+from specmap_cli.pipelines.pieces import Pieces, _Drawn, pieces_placed
 from specmap_cli.pipelines.session import Session
 from tests.layout.driving import (
     SECOND_LAP,
@@ -92,3 +93,19 @@ def test_a_few_metres_say_nothing() -> None:
     assert not found.fitting
     assert not found.rivals
     assert not found.ties
+
+
+def test_all_before_a_piece_is_drawn_on_as_if_it_were_drawn_at_once() -> None:
+    """Of two pieces that are asked, with one between them that is not."""
+    truth = round_trip()[:120]
+    with stored(truth, scans_of(building(), truth)) as store:
+        session = Session(Config(), store)
+        drawn = _Drawn(session, truth)
+        for span in (range(30, 60), range(60, 80), range(100, 120)):
+            for told, numbers in zip(drawn.go_on(span), (range(span.start), span), strict=True):
+                at_once = integrate_keyframes(store, numbers, truth[list(numbers)], Config().grid)
+                whole = at_once.snapshot()
+                seen = np.argwhere(whole.cells != UNKNOWN)
+                there = told.whole.values_at(whole.centres_of(seen))
+                assert there.tolist() == whole.cells[tuple(seen.T)].tolist()
+                assert len(seen) == np.count_nonzero(told.whole.cells != UNKNOWN) > 1000
