@@ -78,11 +78,11 @@ def pieces_placed(session: Session, pieces: Pieces, tracked: Trajectory) -> Piec
         apart = {**breaks, **dict.fromkeys(numbers)}
         return relax(store, inner, apart, session.config.relaxation).poses
 
-    drawn = _Drawn(session, layout.poses)
+    drawn: _Drawn | None = None
     for start, end in pairwise([*numbers, len(store)]):
         way = travelled(pieces.layout.poses)
         if way[end - 1] - way[start] >= max(_LEAST_M, _LEAST_SHARE * way[-1]):
-            if drawn.poses is not pieces.layout.poses:
+            if drawn is None or drawn.poses is not pieces.layout.poses:
                 drawn = _Drawn(session, pieces.layout.poses)
             pieces = _placed(session, pieces, range(start, end), own, drawn)
     return pieces
