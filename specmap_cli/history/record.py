@@ -19,13 +19,14 @@ from typing import Any, Literal
 from urllib.parse import quote
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+import numpy as np
 from pydantic import Field
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import FloatArray, travelled
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
-from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import counted, csv_text, legible, one_line
 from specmap_cli.maps.store import Map
@@ -157,18 +158,24 @@ class Tour:
     visits: tuple[Visit, ...]
 
 
-def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
-    """Labels (n,) of successive keyframes at `poses` (n, 3) without excursions.
+def settle_labels(
+    labels: IntArray, poses: FloatArray, rows: IntArray, min_path_m: float
+) -> IntArray:
+    """Labels (n,) of successive keyframes without excursions.
 
-    A stay shorter than `min_path_m` of path between two stays in one submap becomes part of that
-    submap. Stays are looked at in turn, the first is kept.
+    The keyframes are `rows` (n,) of all scans, which were taken at `poses` (s, 3): of an old visit
+    a map may have kept two keyframes at the door. A stay between two stays in one submap becomes
+    part of that submap where its way is shorter than `min_path_m`, from its first keyframe over the
+    farthest scan to its last. Stays are looked at in turn, the first is kept.
     """
     settled = labels.copy()
-    path = travelled(poses)
     stays = runs(labels)
     for before, (start, end), after in zip(stays, stays[1:], stays[2:], strict=False):
-        same = settled[before[0]] == settled[after[0]]
-        if same and path[end - 1] - path[start] < min_path_m:
+        if settled[before[0]] != settled[after[0]]:
+            continue
+        way = poses[rows[start] : rows[end - 1] + 1, :2]
+        from_first, from_last = (np.hypot(*(way - way[end]).T) for end in (0, -1))
+        if float(np.max(from_first + from_last)) < min_path_m:
             settled[start:end] = settled[before[0]]
     return settled
 
@@ -176,14 +183,13 @@ def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> Int
 def tour_of(stamps_ns: IntArray, rooms: IntArray, driven_m: float) -> Tour:
     """The tour of one recording's keyframes at `stamps_ns` (n,); `rooms` (n,) is where each was.
 
-    A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
-    that no time is lost between two rooms.
+    A visit lasts until the scan with which the next begins, so that no time is lost between two
+    rooms.
     """
     stamps = stamps_ns.tolist()
     visits = tuple(
         Visit(int(rooms[start]), stamps[start], stamps[min(end, len(stamps) - 1)])
         for start, end in runs(rooms)
-        if rooms[start] != NO_SUBMAP
     )
     return Tour(stamps[0], stamps[-1], driven_m, visits)
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from specmap_cli.core.arrays import carried_on
 from specmap_cli.core.errors import MapError, NoResultError, path_of
 from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.process import one_blas_thread
@@ -48,14 +49,16 @@ from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
+from specmap_cli.pipelines.map_in_making import way_of_stored
 from specmap_cli.pipelines.overlaps import stored_to_align
 from specmap_cli.topology.differences import Obstacle
+from specmap_cli.topology.graph import metres_in
+from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import ways_m
 
 HISTORY, PAGE = "history.json", "history.html"
 FILES = (HISTORY, PAGE, *TABLES)
 _NS = 1_000_000_000
-_MOST = 0.5  # of the keyframes of a submap
 
 
 class HistoryReport(NamedTuple):
@@ -146,6 +149,7 @@ def _dated(
             if not len(stored.keyframes.stamps_ns):
                 raise MapError("was not made of a recording: it knows no visits", where=path)
             stored_to_align(stored)  # all that a comparison needs
+            way_of_stored(stored)
             dated.append((span_ns(stored)[1], str(path), path))
         except MapError as error:
             told = encodable(str(path)), encodable(str(error))
@@ -264,30 +268,21 @@ class _Building:
         self, entry: Entry, before: Entry | None = None, residual_m: float | None = None
     ) -> Entry:
         """Find the rooms of a map and count its recordings; it was compared with one `before`."""
-        labels, known = entry.stored.labels, len(self.rooms)
-        submaps, places = labels.submaps, entry.to_building(labels.poses[:, :2])
-        # the room of each keyframe by the maps before, the oldest first
-        rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
-        for plan in self._plans:
-            owners = plan.stored.regions.owners(plan.from_building(places))
-            first_of = {room.node.id: room.number for room in plan.added}
-            rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
-        # submaps become rooms where most of their keyframes are in no room yet
+        submaps, rooms, known = entry.stored.labels.submaps, self._rooms(entry), len(self.rooms)
+        room_of, most = dict[int, int](), dict[int, tuple[int, int]]()
         for node in entry.stored.record.nodes:
             own = submaps == node.id
-            if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
+            if not own.any():
+                continue
+            if (rooms[own] == NO_SUBMAP).all():
                 taken = {room.number for room in self.rooms}
                 number = 1 + max(taken) if node.id in taken else node.id
                 self.rooms.append(Room(number, entry.number, node))
+                rooms[own] = number
+            inside = np.bincount(rooms[own & (rooms != NO_SUBMAP)])
+            room_of[node.id] = room = int(inside.argmax())
+            most[room] = max(most.get(room, (0, node.id)), (int(inside[room]), node.id))
         added = tuple(self.rooms[known:])
-        new = {room.node.id: room.number for room in added}
-        rooms = np.where(rooms == NO_SUBMAP, _looked_up(submaps, new), rooms)
-        room_of, most = dict[int, int](), dict[int, tuple[int, int]]()
-        for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
-            inside = np.bincount(rooms[(submaps == id_) & (rooms != NO_SUBMAP)])
-            if len(inside):
-                room_of[id_] = room = int(inside.argmax())
-                most[room] = max(most.get(room, (0, id_)), (int(inside[room]), id_))
         entry = replace(entry, room_of=room_of, added=added)
         if added:
             self._plans.append(entry)
@@ -310,9 +305,32 @@ class _Building:
         )
         return entry
 
+    def _rooms(self, entry: Entry) -> IntArray:
+        """(n,) the room of an earlier map that each keyframe of a map is in, NO_SUBMAP for none.
+
+        A room counts in those submaps in which robots drove while they were in it: what they only
+        looked into is not known. That of the oldest map has the place.
+        """
+        labels, least_m = entry.stored.labels, entry.stored.config.segmentation.region_min_m
+        places = entry.to_building(labels.poses[:, :2])
+        found = np.full(len(places), NO_SUBMAP, dtype=np.int64)
+        for plan in self._plans:
+            rooms = {room.node.id: room.number for room in plan.added}
+            owners = _looked_up(plan.stored.regions.owners(plan.from_building(places)), rooms)
+            before = plan.stored.labels
+            way = entry.from_building(plan.to_building(before.poses[:, :2]))
+            there = entry.stored.regions.owners(way)
+            for id_, room in rooms.items():
+                driven_m = metres_in(np.where(before.submaps == id_, there, NOBODY), way)
+                known = [submap for submap, way_m in driven_m.items() if way_m >= least_m]
+                inside = (owners == room) & np.isin(labels.submaps, known)
+                found[inside & (found == NO_SUBMAP)] = room
+        return found
+
     def _count_tours(self, stored: Map, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""
         labels, least_m = stored.labels, stored.config.segmentation.region_min_m
+        way, rows = way_of_stored(stored)
         for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
             recording = log.name, log.start_ns, log.end_ns
             if log.keyframes is None or recording in self._seen:
@@ -320,8 +338,10 @@ class _Building:
             self._seen.add(recording)
             own = slice(log.keyframes[0], log.keyframes[1] + 1)
             stamps_ns = labels.stamps_ns[own]
-            if len(stamps_ns):
-                settled = settle_labels(rooms[own], labels.poses[own], least_m)
+            known = rooms[own] != NO_SUBMAP
+            if known.any():
+                entered = carried_on(rooms[own], known)  # a place of no room is still the last one
+                settled = settle_labels(entered, way.poses, rows[own], least_m)
                 self.tours.append(tour_of(stamps_ns, settled, way_m))
 
 

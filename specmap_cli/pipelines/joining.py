@@ -70,7 +70,7 @@ def join(
     layout = replace(layout, parts=parts)
     plain = new
     if new.borders:  # divided as it was before a person moved its borders
-        before = undone(new.labels.submaps, new.labels.poses, new.borders)
+        before = undone(new.whole, new.labels, new.borders)
         plain = replace(new, labels=replace(new.labels, submaps=before), borders=())
     submaps = inherit(old, plain, layout.poses, old_from_new, session.config)
     joint = LaidOut(

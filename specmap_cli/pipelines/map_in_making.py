@@ -18,7 +18,7 @@ from specmap_cli.core.arrays import Packed, windows_of
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import NO_SUBMAP, Closure, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap, Piece
 from specmap_cli.layout.joining import gaps_of
@@ -223,7 +223,7 @@ def laid_out_of_stored(stored: Map) -> LaidOut:
     return LaidOut(
         layout=_layout(stored),
         labels=labels,
-        trajectory=_trajectory(stored),
+        trajectory=way_of_stored(stored)[0],
         stays={  # that of its frame first, though the robot came back and earlier ones were added
             stay.number: (stay.origin, *(k for k in stay.keyframes if k != stay.origin))
             for stay in topology.stays
@@ -281,8 +281,11 @@ def _layout(stored: Map) -> Layout:
     )
 
 
-def _trajectory(stored: Map) -> Trajectory:
-    """The trajectory of a map directory, which leads through its keyframes."""
+def way_of_stored(stored: Map) -> tuple[Trajectory, IntArray]:
+    """The trajectory of a map directory, and its rows (n,) that are the keyframes.
+
+    Raises MapError when it does not lead through them.
+    """
     path, labels = stored.path / filenames.TRAJECTORY, stored.labels
     trajectory = stored.trajectory
     found = rows_of(trajectory, labels.stamps_ns, labels.poses)
@@ -295,4 +298,4 @@ def _trajectory(stored: Map) -> Trajectory:
             "build the map again",
             where=path,
         )
-    return trajectory
+    return trajectory, found

@@ -289,7 +289,7 @@ def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> L
         drawn=None,
         edits=old.edits,
         edits_text=old.edits_text,
-        borders=carried(old.borders, old.labels.poses, layout.poses),
+        borders=carried(old.borders, old.whole, old.labels.poses, layout.poses),
     )
 
 

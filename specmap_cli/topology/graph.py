@@ -189,7 +189,7 @@ def inherited(
     back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
     labels = np.concatenate([old.submaps, regions.owners(back)])
     # what the old robot only looked into through a door is not known, whoever got its cells
-    driven_m = _driven_m(divided[:count], poses[:count])
+    driven_m = metres_in(divided[:count], poses[:count])
     known = [region for region, way_m in driven_m.items() if way_m >= region_min_m]
     strange = (labels == NOBODY) | ~np.isin(divided, known)
     strange[:count] = False
@@ -202,7 +202,7 @@ def inherited(
     own = labels[count:]
     grazed = [
         label
-        for label, way_m in _driven_m(own, poses[count:]).items()
+        for label, way_m in metres_in(own, poses[count:]).items()
         if label >= next_id and way_m < region_min_m
     ]
     stays = ~np.isin(own, grazed)
@@ -254,7 +254,7 @@ def by_appearance(labels: IntArray) -> IntArray:
     return np.argsort(np.argsort(first))[which]
 
 
-def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:
+def metres_in(labels: IntArray, poses: FloatArray) -> dict[int, float]:
     """How far the robot drove in each submap or region."""
     steps = np.append(step_lengths(poses), 0.0)
     found = np.unique(labels[labels != NOBODY]).tolist()

@@ -251,7 +251,7 @@ def redrawn(
     """
     if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
-    before = undone(labels.submaps, labels.poses, borders)
+    before = undone(whole, labels, borders)
     taken = [border.new for border in requested if isinstance(border, Split)]
     free = max([next_id, *(1 + new for new in taken if new is not None)])
     state = Redrawn(before, (), free)
@@ -266,12 +266,13 @@ def redrawn(
     return state
 
 
-def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) -> IntArray:
-    """The submap (n,) of each keyframe before the `borders` were made; `poses` (n, 3).
+def undone(whole: GridMap, labels: Labels, borders: Sequence[BorderEdit]) -> IntArray:
+    """The submap (n,) of each keyframe before the `borders` were made; `whole` is the map's grid.
 
-    Keyframes that came after a merge go to the submap of the keyframe nearest to them.
+    Keyframes that came after a merge go to the submap of the keyframe nearest to them on foot.
     """
-    before, number = submaps.copy(), np.arange(len(submaps))
+    before, poses = labels.submaps.copy(), labels.poses
+    number = np.arange(len(before))
     for border in reversed(borders):
         if isinstance(border, Split):
             before[before == border.new] = border.submap
@@ -282,29 +283,42 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) 
         both = np.isin(before, (border.kept, border.gone))
         own = np.flatnonzero((number < border.known) & both)
         if len(later) and len(own):
-            nearest = cKDTree(poses[own, :2]).query(poses[later, :2])[1]
-            before[later] = before[own[nearest]]
+            before[later] = _on_foot(whole, poses[own], before[own], poses[later])
     return before
 
 
 def carried(
-    borders: Sequence[BorderEdit], old: FloatArray, new: FloatArray
+    borders: Sequence[BorderEdit], whole: GridMap, old: FloatArray, new: FloatArray
 ) -> tuple[BorderEdit, ...]:
     """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
 
-    What came with a merge is what is nearest to the old keyframes that came with it.
+    What came with a merge is what is nearest to the old keyframes that came with it, on foot in
+    `whole`, the grid of the old map.
     """
-    nearest = cKDTree(old[:, :2]).query(new[:, :2])[1]
+
+    def came(border: Merge) -> IntArray:
+        """The numbers of the new keyframes that came with a merge."""
+        with_it = np.isin(np.arange(len(old)), border.keyframes).astype(np.int64)
+        return np.flatnonzero(_on_foot(whole, old, with_it, new))
+
     return tuple(
         border
         if isinstance(border, Split)
-        else replace(
-            border,
-            runs=runs_of(np.flatnonzero(np.isin(nearest, border.keyframes)).tolist()),
-            known=len(new),
-        )
+        else replace(border, runs=runs_of(came(border).tolist()), known=len(new))
         for border in borders
     )
+
+
+def _on_foot(grid: GridMap, poses: FloatArray, submaps: IntArray, places: FloatArray) -> IntArray:
+    """(m,) the submap of the keyframe nearest to each of `places` (m, 3) on foot.
+
+    The keyframes stood at `poses` (n, 3) in `submaps` (n,). Where none of them can be reached, the
+    one on the shortest line counts.
+    """
+    known = Labels(stamps_ns=np.zeros(len(poses), dtype=np.int64), poses=poses, submaps=submaps)
+    found = divide(grid, known).owners(places)
+    nearest = submaps[cKDTree(poses[:, :2]).query(places[:, :2])[1]]
+    return np.where(found == NOBODY, nearest, found)
 
 
 def _made(

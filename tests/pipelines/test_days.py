@@ -12,17 +12,19 @@ import pytest
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
-from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.grids.gridmap import FREE
+from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.history import record
 from specmap_cli.history.record import BuildingRecord
 from specmap_cli.maps.directory import result_directory
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines import compare
+from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.regions import NOBODY
-from tests.flats import Mapped, rows
+from tests.flats import QUICK, Mapped, rows
 from tests.maps.test_store import files_in
 
 
@@ -85,6 +87,23 @@ def test_new_space_is_a_new_room(sunday: Mapped, week: Path) -> None:
     assert room.map == 1
     assert added[0].size == pytest.approx(room.area_m2)
     assert room.visits >= 1
+
+
+def test_a_room_that_was_only_looked_into_is_one_of_its_own_once_entered(
+    flat: GridMap, week: Path, tmp_path: Path
+) -> None:
+    """The tour ends before the third room, which the corridor has in this map."""
+    options = SimulationOptions(range_max_m=12, rate_hz=3, speed_mps=0.9, seed=3, max_duration_s=50)
+    build_map(simulate(flat, options, tmp_path / "short.mcap").log, tmp_path / "short", QUICK)
+    looked, entered = (read_map(path) for path in (tmp_path / "short", week / "monday"))
+    inside = entered.labels.poses[entered.labels.submaps == 3]
+    owners = looked.regions.owners(inside)
+    assert len(looked.rooms) == 3
+    assert np.bincount(owners[owners != NOBODY], minlength=3).argmax() == 1
+    (building,) = history_of([looked.path, entered.path]).record.buildings
+    assert [(room.number, room.map) for room in building.rooms] == [(0, 0), (1, 0), (2, 0), (3, 1)]
+    assert [(change.kind, change.rooms) for change in building.changes] == [("room-added", [3])]
+    assert [room.visits for room in building.rooms][-1] == 1
 
 
 def test_a_map_that_cannot_be_read_is_left_out_and_told(
@@ -265,9 +284,9 @@ NS = 1_000_000_000
 MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * NS
 
 
-def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> None:
-    rooms = np.array([NO_SUBMAP, NO_SUBMAP, 0, 0, 1, 1, 0])
-    tour = record.tour_of(MIDNIGHT + np.array([0, 10, 20, 30, 40, 50, 70]) * NS, rooms, 70.0)
+def test_a_visit_lasts_until_the_next_begins() -> None:
+    rooms = np.array([0, 0, 1, 1, 0])
+    tour = record.tour_of(MIDNIGHT + np.array([20, 30, 40, 50, 70]) * NS, rooms, 70.0)
     lasted = [(one.room, (one.end_ns - one.start_ns) / NS) for one in tour.visits]
     assert lasted == [(0, 20), (1, 30), (0, 0)]
     assert tour.driven_m == 70
@@ -287,9 +306,17 @@ def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> 
 def test_what_is_an_excursion(labels: str, settled: str) -> None:
     numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
     poses = np.column_stack([0.2 * np.arange(len(labels)), *np.zeros((2, len(labels)))])
-    found = record.settle_labels(numbers, poses, 0.9)
+    found = record.settle_labels(numbers, poses, np.arange(len(labels)), 0.9)
     assert "".join(map(chr, numbers)) == labels, "the argument is left alone"
     assert "".join(map(chr, found)) == settled
+
+
+def test_a_visit_of_which_two_keyframes_at_the_door_are_left_is_none_past_it() -> None:
+    x = np.array([0.0, 0.5, 1.0, 1.5, 1.0, 0.5, 0.0])
+    poses = np.column_stack([x, *np.zeros((2, 7))])
+    labels, rows = np.array([0, 1, 1, 0]), np.array([0, 1, 5, 6])
+    assert record.settle_labels(labels, poses, rows, 0.9).tolist() == [0, 1, 1, 0]
+    assert record.settle_labels(labels, 0.4 * poses, rows, 0.9).tolist() == [0, 0, 0, 0]
 
 
 def test_a_day_ends_at_midnight_of_the_zone() -> None:

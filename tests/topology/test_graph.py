@@ -361,10 +361,25 @@ def test_a_merge_takes_all_keyframes_and_those_that_came_later_are_parted_by_the
     assert merge.keyframes == tuple(np.flatnonzero(labels.submaps == 0).tolist())
     assert merge.known == len(submaps)
     poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
-    assert undone(np.append(submaps, [1, 1]), poses, borders)[-2:].tolist() == [0, 1]
-    (moved,) = carried(borders, labels.poses, poses[-2:])
+    later = labelled(poses, np.append(submaps, [1, 1]))
+    assert undone(hall(), later, borders)[-2:].tolist() == [0, 1]
+    (moved,) = carried(borders, hall(), labels.poses, poses[-2:])
     assert isinstance(moved, Merge)
     assert (moved.keyframes, moved.known) == ((0,), 2)
+
+
+def test_what_came_after_a_merge_goes_to_no_room_behind_the_wall() -> None:
+    """A keyframe of the room stood nearer to the new one than any of the hall, behind the wall."""
+    whole, there = hall(), driven()
+    poses = np.concatenate([there.poses, [[4.5, 1.8, 0.0]]])
+    labels = labelled(poses, np.append(there.submaps, 1))
+    found = redrawn(whole, labels, (), [Merge((1, 0))], 2)
+    places = np.concatenate([poses, [[3.8, 1.8, 0.0]]])
+    later = labelled(places, np.append(found.submaps, 1))
+    assert undone(whole, later, found.borders).tolist() == [*labels.submaps.tolist(), 0]
+    (moved,) = carried(found.borders, whole, poses, places[-1:])
+    assert isinstance(moved, Merge)
+    assert moved.keyframes == (0,), "the hall came with the merge"
 
 
 def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
@@ -421,8 +436,8 @@ def test_changes_are_made_in_order_and_undone() -> None:
     submaps, borders = after(*wished)
     assert set(submaps.tolist()) == {7}
     labels = driven()
-    assert undone(submaps, labels.poses, borders).tolist() == labels.submaps.tolist()
     changed = replace(labels, submaps=submaps)
+    assert undone(hall(), changed, borders).tolist() == labels.submaps.tolist()
     assert set(redrawn(hall(), changed, borders, wished[:2], 8).submaps.tolist()) == {1, 7}
     same = redrawn(hall(), changed, borders, wished, 8)
     assert same.submaps.tolist() == submaps.tolist()
