@@ -11,9 +11,11 @@ robots spent in them.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
@@ -148,14 +150,29 @@ class Visit:
     end_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tour:
-    """One recording: when it began and ended, how far the robot drove, and where it was."""
+    """One recording: stamps of its keyframes (n,), how far it had driven at each (n,), visits."""
 
-    start_ns: int
-    end_ns: int
-    driven_m: float
+    stamps_ns: IntArray
+    driven_m: FloatArray
     visits: tuple[Visit, ...]
+
+    def days(self, zone: tzinfo) -> Iterator[tuple[str, float, float]]:
+        """The days of it, in order: metres and minutes, each step on the day on which it began."""
+        first, last = self.stamps_ns[[0, -1]].tolist()
+        days = [day_of(first, zone)]
+        if day_of(last, zone) == days[0]:
+            days *= len(self.stamps_ns)
+        else:
+            days = [day_of(stamp, zone) for stamp in self.stamps_ns.tolist()]
+        metres, minutes = (
+            np.append(np.diff(at), 0.0)
+            for at in (self.driven_m, (self.stamps_ns - first) / _NS / _MINUTE_S)
+        )
+        for day, steps in groupby(range(len(days)), key=days.__getitem__):
+            own = list(steps)
+            yield day, float(metres[own].sum()), float(minutes[own].sum())
 
 
 def settle_labels(
@@ -180,23 +197,18 @@ def settle_labels(
     return settled
 
 
-def tour_of(stamps_ns: IntArray, rooms: IntArray, driven_m: float) -> Tour:
+def tour_of(stamps_ns: IntArray, rooms: IntArray, driven_m: FloatArray) -> Tour:
     """The tour of one recording's keyframes at `stamps_ns` (n,); `rooms` (n,) is where each was.
 
-    A visit lasts until the scan with which the next begins, so that no time is lost between two
-    rooms.
+    `driven_m` (n,) is how far the robot had driven at each. A visit lasts until the scan with which
+    the next begins, so that no time is lost between two rooms.
     """
     stamps = stamps_ns.tolist()
     visits = tuple(
         Visit(int(rooms[start]), stamps[start], stamps[min(end, len(stamps) - 1)])
         for start, end in runs(rooms)
     )
-    return Tour(stamps[0], stamps[-1], driven_m, visits)
-
-
-def _minutes_of(span: Visit | Tour) -> float:
-    """How long it lasted."""
-    return (span.end_ns - span.start_ns) / _NS / _MINUTE_S
+    return Tour(stamps_ns, driven_m, visits)
 
 
 def zone_of(name: str) -> tzinfo:
@@ -220,24 +232,28 @@ def day_of(stamp_ns: int, zone: tzinfo) -> str:
 
 def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[DayRecord]:
     """The days of a building. A visit counts on the day it began."""
-    by_day: dict[str, list[Tour]] = {}
+    recordings = Counter[str]()
+    driven_m, minutes = defaultdict[str, float](float), defaultdict[str, float](float)
     visits: dict[str, list[Visit]] = {}
-    for tour in sorted(tours, key=lambda one: one.start_ns):
-        by_day.setdefault(day_of(tour.start_ns, zone), []).append(tour)
+    for tour in tours:
+        for number, (day, way_m, lasted) in enumerate(tour.days(zone)):
+            recordings[day] += number == 0
+            driven_m[day] += way_m
+            minutes[day] += lasted
         for visit in tour.visits:
             visits.setdefault(day_of(visit.start_ns, zone), []).append(visit)
     return [
         DayRecord(
             day=day,
-            recordings=len(by_day.get(day, ())),
-            driven_m=sum(tour.driven_m for tour in by_day.get(day, ())),
-            minutes=sum(_minutes_of(tour) for tour in by_day.get(day, ())),
+            recordings=recordings[day],
+            driven_m=driven_m[day],
+            minutes=minutes[day],
             rooms=[
-                StayRecord(room=room, visits=count, minutes=minutes)
-                for room, (count, minutes) in sorted(totals(visits.get(day, ())).items())
+                StayRecord(room=room, visits=count, minutes=lasted)
+                for room, (count, lasted) in sorted(totals(visits.get(day, ())).items())
             ],
         )
-        for day in sorted({*by_day, *visits})
+        for day in sorted(recordings)
     ]
 
 
@@ -246,7 +262,8 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
     found: dict[int, tuple[int, float]] = {}
     for visit in visits:
         count, minutes = found.get(visit.room, (0, 0.0))
-        found[visit.room] = count + 1, minutes + _minutes_of(visit)
+        lasted = (visit.end_ns - visit.start_ns) / _NS / _MINUTE_S
+        found[visit.room] = count + 1, minutes + lasted
     return found
 
 

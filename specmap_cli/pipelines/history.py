@@ -16,7 +16,7 @@ import numpy as np
 
 from specmap_cli.core.arrays import carried_on
 from specmap_cli.core.errors import MapError, NoResultError, path_of
-from specmap_cli.core.geometry import BentMotion, FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray, travelled
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
@@ -59,6 +59,7 @@ from specmap_cli.topology.topological_map import ways_m
 HISTORY, PAGE = "history.json", "history.html"
 FILES = (HISTORY, PAGE, *TABLES)
 _NS = 1_000_000_000
+_TINY_M = 1e-9  # keeps a robot that never moved from dividing by nought
 
 
 class HistoryReport(NamedTuple):
@@ -331,7 +332,8 @@ class _Building:
         """Count the recordings that no earlier map of the building was made of."""
         labels, least_m = stored.labels, stored.config.segmentation.region_min_m
         way, rows = way_of_stored(stored)
-        for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
+        driven_m = travelled(way.poses)[rows]
+        for log, length_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
             recording = log.name, log.start_ns, log.end_ns
             if log.keyframes is None or recording in self._seen:
                 continue
@@ -342,6 +344,8 @@ class _Building:
             if known.any():
                 entered = carried_on(rooms[own], known)  # a place of no room is still the last one
                 settled = settle_labels(entered, way.poses, rows[own], least_m)
+                way_m = driven_m[own] - driven_m[own][0]
+                way_m *= length_m / max(float(way_m[-1]), _TINY_M)
                 self.tours.append(tour_of(stamps_ns, settled, way_m))
 
 

@@ -286,10 +286,10 @@ MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * NS
 
 def test_a_visit_lasts_until_the_next_begins() -> None:
     rooms = np.array([0, 0, 1, 1, 0])
-    tour = record.tour_of(MIDNIGHT + np.array([20, 30, 40, 50, 70]) * NS, rooms, 70.0)
+    tour = record.tour_of(MIDNIGHT + np.array([20, 30, 40, 50, 70]) * NS, rooms, np.arange(5.0))
     lasted = [(one.room, (one.end_ns - one.start_ns) / NS) for one in tour.visits]
     assert lasted == [(0, 20), (1, 30), (0, 0)]
-    assert tour.driven_m == 70
+    assert tour.driven_m.tolist() == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize(
@@ -332,16 +332,17 @@ def test_an_unknown_zone_is_refused(name: str) -> None:
         record.zone_of(name)
 
 
-def test_a_visit_counts_on_the_day_it_began() -> None:
-    late = record.Tour(MIDNIGHT - 60 * NS, MIDNIGHT + 60 * NS, 12.0, (
-        record.Visit(3, MIDNIGHT - 60 * NS, MIDNIGHT + 30 * NS),
-        record.Visit(4, MIDNIGHT + 30 * NS, MIDNIGHT + 60 * NS),
-    ))  # fmt: skip
+def test_what_goes_on_past_midnight_counts_on_the_day_it_began() -> None:
+    stamps_ns = MIDNIGHT + np.array([-60, -30, 30, 60]) * NS
+    late = record.tour_of(stamps_ns, np.array([3, 3, 4, 4]), np.array([0.0, 5.0, 9.0, 12.0]))
     first, second = record.days_of([late], record.zone_of("UTC"))
-    assert (first.day, first.recordings, first.driven_m) == ("2026-03-01", 1, 12.0)
+    assert (first.day, first.recordings, first.driven_m) == ("2026-03-01", 1, 9.0)
+    assert first.minutes == 1.5
     assert first.rooms == [record.StayRecord(room=3, visits=1, minutes=1.5)]
-    assert (second.recordings, second.minutes) == (0, 0)
+    assert (second.recordings, second.driven_m, second.minutes) == (0, 3.0, 0.5)
     assert second.rooms == [record.StayRecord(room=4, visits=1, minutes=0.5)]
+    (only,) = record.days_of([late], record.zone_of("Europe/Berlin"))
+    assert (only.recordings, only.driven_m, only.minutes) == (1, 12.0, 2.0)
     assert record.totals(
         [record.Visit(1, 0, 60 * NS), record.Visit(2, 0, NS), record.Visit(1, 0, 30 * NS)]
     )[1] == (2, 1.5)
