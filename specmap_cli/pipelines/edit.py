@@ -17,6 +17,7 @@ import networkx as nx
 import numpy as np
 
 from specmap_cli.core.errors import MapError, UsageError, is_of_the_place, path_of
+from specmap_cli.core.findings import summary
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
@@ -125,15 +126,17 @@ def _torn(before: TopologyRecord, requested: RequestedEdits) -> Iterator[str]:
 
 def _surprises(before: TopologyRecord, after: TopologicalMap) -> Iterator[str]:
     """What a person may not have meant, where it is new: rooms cut off, one name given twice."""
-    edges = after.edges
-    known = {(edge.source, edge.target) for edge in before.edges if edge.forbidden}
-    if any(edge.forbidden and pair not in known for pair, edge in edges.items()):
-        allowed = parts(after.submaps, [replace(edge, forbidden=False) for edge in edges.values()])
-        cut = [part for part in parts(after.submaps, edges.values())[1:] if part not in allowed]
+    edges, were = after.edges.values(), parts([node.id for node in before.nodes], before.edges)
+    apart = {id_ for part in were[1:] for id_ in part}
+    allowed = parts(after.submaps, [replace(edge, forbidden=False) for edge in edges])
+    shut = [part for part in parts(after.submaps, edges)[1:] if part not in allowed]
+    reasons = ("no way there is wide enough for the robot", "every way there is forbidden")
+    for found, why in zip((allowed[1:], shut), reasons, strict=True):
+        cut = [part for part in found if not apart.issuperset(part)]
         if cut:
             noun = "submap" if sum(map(len, cut)) == 1 else "submaps"
             which = "; ".join(", ".join(map(str, part)) for part in cut)
-            yield f"no route leads to {noun} {which} any more: every way there is forbidden"
+            yield f"no route leads to {noun} {which} any more: {why}"
     names = {id_: submap.name or default_name(id_) for id_, submap in after.submaps.items()}
     was = {node.id: node.name for node in before.nodes}
     for name in dict.fromkeys(names[id_] for id_ in sorted(names) if names[id_] != was.get(id_)):
@@ -192,23 +195,30 @@ def _relabelled(stored: Map, found: Drawn, directory: Path) -> Edited:
     return topology, unapplied
 
 
-def _made_anew(stored: Map, found: Drawn, progress: Progress, directory: Path) -> Edited:
+def _made_anew(stored: Map, asked: Drawn, progress: Progress, directory: Path) -> Edited:
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
     config = settings_for(stored, {})
     laid, labels = laid_out_of_stored(stored), stored.labels
     kept = valid_training_data(
         training_data_of_stored(stored, config),
         labels,
-        replace(labels, submaps=found.submaps),
+        replace(labels, submaps=asked.submaps),
         np.arange(len(laid)),
         config.grid.resolution_m,
     )
     with stored.scans() as store:
         session = Session(config, store, progress)
-        laid = with_grid(session, replace(laid, edits=found.edits)).keeping(stored.regions)
+        laid = with_grid(session, replace(laid, edits=asked.edits)).keeping(stored.regions)
         prior = Prior.of(session, kept)
-        finished = finish(session, laid, prior, quality_of_stored(stored))
-        run = {**stored.run, "versions": versions(), "counts": finished.counts}
+        before = quality_of_stored(stored)
+        finished = finish(session, laid, prior, before)
+        known, quality = {*summary(before.warnings), *summary(before.notes)}, finished.quality
+        for tell, found in ((progress.warn, quality.warnings), (progress.note, quality.notes)):
+            for line in summary(found):
+                if line not in known:
+                    tell(line)
+        made = {"counts": finished.counts, "quality": quality.as_dict()}
+        run = {**stored.run, "versions": versions(), **made}
         _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
         write_finished(session, directory, finished, lambda: run)
     return finished.topology, finished.unapplied

@@ -65,7 +65,8 @@ def passages(
             here = np.array([traversal.x, traversal.y])
             away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in own]
             nearest = int(np.argmin(away))
-            if away[nearest] <= np.linalg.norm(opening - here, axis=1).min(initial=math.inf):
+            most = np.linalg.norm(opening - here, axis=1).min(initial=own[nearest].width_m)
+            if away[nearest] <= most:
                 crossings[nearest].append(traversal)
         for door, went in zip(own, crossings, strict=True):
             doors.append(replace(door, id=len(doors), crossings=tuple(went), driven=bool(went)))
@@ -181,7 +182,10 @@ def _within(
 def _joined(
     above: Parts, here: Parts, heights: LengthArray, is_low: BoolArray, least: float
 ) -> tuple[int, int] | None:
-    """The parts that become one at a level: the highest hills, `least` high, of either submap."""
+    """The parts that become one at a level: the highest hills, `least` high, of either submap.
+
+    A hill is of the submap that has most of it: what narrows within one submap is no passage.
+    """
     count = int(above.max()) + 1
     if count < 3:
         return None
@@ -192,6 +196,8 @@ def _joined(
     tops, hills = np.zeros((2, count)), np.flatnonzero(heights >= least)
     own = above.ravel()[hills] + np.where(is_low.ravel()[hills], 0, count)
     np.maximum.at(tops.ravel(), own, heights.ravel()[hills])
+    low, high = np.bincount(own, minlength=2 * count).reshape(2, count)
+    tops[:, :] *= np.array([low >= high, high >= low])
     best, found = 0.0, None
     for i in np.flatnonzero(tops[0]).tolist():
         for j in np.flatnonzero(tops[1] * (become == become[i])).tolist():

@@ -1,6 +1,7 @@
 """A person's word about a map: applied, kept, undone, and still there after an update."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -247,6 +248,33 @@ class TestBorders:
             edit_map(built.map, RequestedEdits(changes=changes), out, progress=progress)
             said = [str(each.args[0]) for each in progress.warn.mock_calls]
             assert said == [f"{line} them" for line in told]
+
+    def test_a_split_along_the_doors_of_rooms_tells_which_it_cuts_off(
+        self, built: Built, tmp_path: Path
+    ) -> None:
+        """The line is lengthened along the wall: a strip that no robot fits in is left there."""
+        stored, progress = read_map(built.map), Mock(Silent)
+        door = next(each for each in stored.topology.doors if built.corridor in each.between)
+        beside = np.array([[door.x, door.y + away] for away in (-0.3, 0.3)])
+        (y,) = beside[stored.regions.owners(beside) == built.corridor, 1].tolist()
+        changes = ({"split": built.corridor, "line": [[door.x - 0.3, y], [door.x + 0.3, y]]},)
+        cut = edit_map(
+            built.map, RequestedEdits(changes=changes), tmp_path / "1", progress=progress
+        )
+        narrow, told = (each.args[0] for each in progress.warn.mock_calls)
+        assert "links that the robot drove along have no way for a robot" in narrow
+        shown = re.fullmatch(r"no route leads to submaps? (.*) any more: no way there is .*", told)
+        assert shown is not None
+        left = {int(id_) for id_ in re.findall(r"\d+", shown[1])}
+        assert left
+        assert left < set(stored.ids)
+        found = read_map(cut.out)
+        assert found.record.graph.quality is not None
+        codes = [one.code for one in found.record.graph.quality.findings]
+        assert codes == [one["code"] for one in found.run["quality"]["findings"]]
+        again = RequestedEdits(names={built.corridor: "Hall"})
+        edit_map(cut.out, again, tmp_path / "2", progress=progress)
+        assert progress.warn.call_count == 2, "it was told before"
 
     def test_the_map_stays_when_the_second_request_does_not_apply(self, built: Built) -> None:
         """Every request that is refused alone is in tests/cli/test_cli_finished.py."""

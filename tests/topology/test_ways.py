@@ -133,6 +133,22 @@ def test_who_crosses_in_the_open_goes_through_no_door() -> None:
     assert not any(door.driven for door in doors)
 
 
+def test_a_crossing_counts_for_a_door_no_farther_than_that_is_wide() -> None:
+    plan = two_rooms((5.3, 1.5, 5.5, 2.4))
+    for y, driven in ((2.0, True), (3.2, True), (3.4, False)):
+        ((door,), _) = found_between(plan, crossing(5.4, y))
+        assert door.driven == driven
+
+
+def test_what_narrows_within_one_submap_is_no_door_of_another_along_it() -> None:
+    """A person split a corridor along its wall: a strip of it is part of the room at its foot."""
+    room = [(0.3, 0.3, 4.2, 2.3), (4.0, 2.3, 4.2, 11.7)]
+    corridor = {0: [(4.2, 0.3, 6.0, 11.7)], 1: room}
+    doors, openings = found_between(regions_of((6.3, 12.0), corridor, [(5.4, 6.0, 6.0, 7.0)]))
+    assert doors == ()
+    assert list(openings) == [(0, 1)]
+
+
 RADIUS_M = 0.2
 NOWHERE = np.zeros((0, 2), dtype=np.int64)
 
