@@ -35,6 +35,7 @@ from specmap_cli.recognition.closure.verification import (
     prepared,
     tracks_overlap,
     verify,
+    wall_directions,
 )
 
 _MEMBERS = 2  # visits of an old submap whose grids are matched, the latest ones
@@ -52,7 +53,7 @@ _MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
 _NO_CLAIMS = Claims(new_by_old=0.0, old_by_new=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)  # without slots: the area is computed once
+@dataclass(frozen=True, kw_only=True)  # without slots: what is slow to find is found once
 class Stay:
     """What loop closure needs of a region that the robot has just left: a piece of its path.
 
@@ -79,6 +80,11 @@ class Stay:
     def area_m2(self) -> float:
         """The free area that was seen."""
         return self.grid.free_area_m2
+
+    @cached_property
+    def directions(self) -> NDArray[np.complex128]:
+        """Of the walls of its grid: of all that matching needs the slowest to find, and small."""
+        return wall_directions(self.grid.cropped())
 
     def tracked_from(self, other: Stay) -> Pose2 | None:
         """This stay's frame from another one's as both were tracked; None where that is unknown."""
@@ -317,7 +323,7 @@ class LoopCloser:
     def _prepared(self, stay: Stay) -> PreparedGrid | None:
         """A stay's grid prepared for matching; those last used are kept."""
         if stay.number not in self._grids:
-            self._grids[stay.number] = prepared(stay.grid)
+            self._grids[stay.number] = prepared(stay.grid, stay.directions)
             if len(self._grids) > _PREPARED:
                 self._grids.popitem(last=False)
         self._grids.move_to_end(stay.number)

@@ -101,8 +101,13 @@ class PreparedGrid:
         return self.wide.sharper()
 
 
-def prepared(grid: GridMap) -> PreparedGrid | None:
-    """The grid prepared for matching; None when it shows too little of a wall."""
+def prepared(
+    grid: GridMap, directions: NDArray[np.complex128] | None = None
+) -> PreparedGrid | None:
+    """The grid prepared for matching; None when it shows too little of a wall.
+
+    `directions` are those of its walls, where they are known from before.
+    """
     grid = grid.cropped()
     walls, metres_a_point = walls_of(grid)
     if len(walls) * metres_a_point < LEAST_WALL_M:
@@ -123,7 +128,7 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
         sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
         walls=walls,
         metres_a_point=metres_a_point,
-        directions=wall_directions(grid),
+        directions=wall_directions(grid) if directions is None else directions,
         known=known.view(np.bool_),
         at_wall=at_wall,
         open=open_,

@@ -253,14 +253,15 @@ def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[in
     """Those, too, that cannot be prepared: those of even numbers. Held, the last used is last."""
     loop, asked, held = closer(RecognitionConfig()), list[int](), list[int]()
 
-    def answer(number: int) -> int | None:
+    def answer(number: int, directions: int) -> int | None:
+        assert directions == -number
         asked.append(number)
         return number if number % 2 else None
 
     with turned("recognition.closure.loop_closer", _PREPARED=3, prepared=answer):
         for number in numbers:
             asked.clear()
-            stay: Any = SimpleNamespace(number=number, grid=number)
+            stay: Any = SimpleNamespace(number=number, grid=number, directions=-number)
             kept: Any = loop._prepared(stay)
             assert kept == (number if number % 2 else None)
             assert asked == ([] if number in held else [number])
