@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,6 +59,7 @@ ROWS = (
     Row("wrong", "wrong poses, mean of 13 pairs", better="less"),
     Row("compared", "maps of one place that `compare` aligns rightly, of 13", form=".0f"),
     Row("compared_wrong", "the same: wrongly", 0, 0, "less", ".0f"),
+    Row("told", "the longest thing that it tells of them", better="less", form=".1f", unit="m"),
     Row("updated", "sessions that `update` takes, of 7", 7, 7, form=".0f"),
     Row("updated_wrong", "the same: taken to a wrong place", 0, 0, "less", ".0f"),
 )
@@ -68,7 +70,7 @@ def measure(bench: Bench) -> Figures:
     maps = {name: bench.recorded(name) for name in {n for pair in PAIRS for n in pair}}
     seen = {name: Seen(read_map(path)) for name, path in maps.items()}
     print(f"{'session':14} {'in the map of':14} {HEADER}  compare; update")
-    found, compared, updated = list[Found](), list[str](), list[str]()
+    found, compared, updated = list[Found](), list[Compared](), list[str]()
     with bench.scratch("sessions") as folder:
         for number, (name, other) in enumerate(PAIRS):
             truth = placed(seen[other], seen[name])
@@ -78,7 +80,7 @@ def measure(bench: Bench) -> Figures:
             if number in JOINED:
                 updated.append(update(seen[other], seen[name], name, truth, folder))
             also = f"; {updated[-1]}" if number in JOINED else ""
-            print(f"{name:14} {other:14} {one}  {compared[-1]}{also}", flush=True)
+            print(f"{name:14} {other:14} {one}  {compared[-1].said}{also}", flush=True)
     by_pair = dict(zip(PAIRS, found, strict=True))
     person = by_pair["corridor_1", "corridor_2"]
     return {
@@ -92,8 +94,9 @@ def measure(bench: Bench) -> Figures:
         "unknown": float(np.mean([one.unknown for one in found])),
         "poses": float(np.mean([one.poses for one in found])),
         "wrong": float(np.mean([one.wrong for one in found])),
-        "compared": sum(one.startswith("right") for one in compared),
-        "compared_wrong": sum(one.startswith("wrong") for one in compared),
+        "compared": sum(one.said.startswith("right") for one in compared),
+        "compared_wrong": sum(one.said.startswith("wrong") for one in compared),
+        "told": max(one.longest_m for one in compared),
         "updated": sum(one.startswith("right") for one in updated),
         "updated_wrong": sum(one.startswith("wrong") for one in updated),
     }
@@ -119,8 +122,15 @@ def true_poses(here: Seen, truth: Placed, stamps_ns: IntArray) -> FloatArray:
     return compose(truth.poses[near], compose(invert(here.poses[truth.rows[near]]), own))
 
 
-def comparison(old: Path, new: Path, here: Seen, truth: Placed, folder: Path) -> str:
-    """Whether `compare` aligns two maps of a place, and rightly.
+class Compared(NamedTuple):
+    """Whether `compare` aligns two maps of a place, and the longest thing that it tells of them."""
+
+    said: str
+    longest_m: float = 0.0
+
+
+def comparison(old: Path, new: Path, here: Seen, truth: Placed, folder: Path) -> Compared:
+    """Whether `compare` aligns two maps of a place, and rightly; and what it tells.
 
     Where it made a stretch longer, what it tells holds for the beginning of the new map.
     """
@@ -129,7 +139,7 @@ def comparison(old: Path, new: Path, here: Seen, truth: Placed, folder: Path) ->
     try:
         measured(command, folder)
     except RuntimeError as error:
-        return f"refused ({str(error).rpartition(': ')[2]})"
+        return Compared(f"refused ({str(error).rpartition(': ')[2]})")
     told = json.loads(next(out.glob("*.json")).read_text(encoding="utf-8"))
     right = truth.whole.pose
     if told["alignment"]["longer_m"]:
@@ -139,9 +149,11 @@ def comparison(old: Path, new: Path, here: Seen, truth: Placed, folder: Path) ->
     off = right.inverse() @ Pose2(*told["alignment"]["old_from_new"])
     turned = abs(math.remainder(off.theta, 2 * math.pi))
     is_right = off.distance <= _ALIGNED_M and turned <= _ALIGNED_RAD
-    return (
-        f"{'right' if is_right else 'wrong'}: {off.distance:.2f} m {math.degrees(turned):.1f} deg"
-    )
+    things = told["things"]
+    longest_m = max([one["length_m"] for all_ in things.values() for one in all_], default=0.0)
+    verdict = "right" if is_right else "wrong"
+    said = f"{verdict}: {off.distance:.2f} m {math.degrees(turned):.1f} deg, {longest_m:.1f} m told"
+    return Compared(said, longest_m)
 
 
 def update(there: Seen, here: Seen, log: str, truth: Placed, folder: Path) -> str:

@@ -227,17 +227,20 @@ def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float)
     return step.distance >= distance_m or abs(step.theta) >= angle_rad
 
 
-_REACH_M2 = 4.0  # two metres: within these a place's own motion counts alike
 _AT_ONCE = 1 << 20  # points times places: bounds the memory to some 100 MB
 
 
 @dataclass(frozen=True, slots=True)
 class LocalMotion:
-    """At `centre` (2,) of the source the motion is this one; `weight` says how sure that is."""
+    """Within `reach_m` of `centre` (2,) of the source the motion is this one.
+
+    `weight` says how sure that is.
+    """
 
     centre: FloatArray
     motion: Pose2
     weight: float
+    reach_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,13 +255,14 @@ class BentMotion:
         if not self.local:
             return self.rigid.apply(points)
         centres = np.array([one.centre for one in self.local])
-        weights = np.array([one.weight for one in self.local])
+        reaches = np.array([one.reach_m**2 for one in self.local])
+        weights = reaches * [one.weight for one in self.local]
         placed = np.zeros((len(points), 2))
         step = max(1, _AT_ONCE // len(self.local))
         for first in range(0, len(points), step):
             some, there = points[first : first + step], placed[first : first + step]
             squares = ((some[:, None, :] - centres[None]) ** 2).sum(axis=2)
-            shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
+            shares = weights / (reaches + squares) ** 2  # far ones do not add up
             shares /= shares.sum(axis=1, keepdims=True)
             for k, one in enumerate(self.local):
                 there += shares[:, k, None] * one.motion.apply(some)

@@ -39,8 +39,8 @@ from specmap_cli.topology.differences import Crossing, Differences, Obstacle, di
 from specmap_cli.topology.topological_map import default_name
 
 FILES = COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
-# Of a submap whose own place in the other map is believed: how well it fits, metres of wall, and
-# their share; a room of which the other map saw but a wall slides along it.
+# Of a submap that lies where it fits by itself: how well it fits, metres of wall, and their share; a
+# room of which the other map saw but a wall slides along it, and lies as the maps do.
 _LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
 
 
@@ -154,16 +154,15 @@ def _aligned(old: Map, new: Map, stretch: GuessedStretch | None) -> Alignment:
 
 def _motion(alignment: Alignment) -> BentMotion:
     """The motion from the new map to the old one, as its submaps lie in it."""
-    assert alignment.old_from_new is not None
-    ground = alignment.ground
-    pieces = () if ground is None else (*ground.new, *ground.old)
-    local = tuple(
-        LocalMotion(fit.centre, fit.old_from_new, fit.confirmed_m)
-        for fit in pieces
-        if fit.score >= _LEAST_FIT
-        and fit.confirmed_m >= max(_LEAST_WALLS_M, _LEAST_SHARE * fit.walls_m)
-    )
-    return BentMotion(alignment.old_from_new, local)
+    rigid, ground = alignment.old_from_new, alignment.ground
+    assert rigid is not None
+    local = []
+    for fit in () if ground is None else (*ground.new, *ground.old):
+        if fit.score >= _LEAST_FIT and fit.confirmed_m >= _LEAST_WALLS_M:
+            alone = fit.confirmed_m >= _LEAST_SHARE * fit.walls_m
+            motion = fit.old_from_new if alone else rigid
+            local.append(LocalMotion(fit.centre, motion, fit.confirmed_m, fit.reach_m))
+    return BentMotion(rigid, tuple(local))
 
 
 def _figures(stored: Map) -> MapFigures:

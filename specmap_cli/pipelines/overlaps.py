@@ -162,7 +162,8 @@ class GuessedStretch:
         local = []
         for own, place in zip(poses[number, :2], there[number, :2], strict=True):
             x, y = (place - own).tolist()
-            local.append(LocalMotion(own, bent.near(place) @ Pose2(x, y, 0.0), 1.0))
+            motion = bent.near(place) @ Pose2(x, y, 0.0)
+            local.append(LocalMotion(own, motion, 1.0, 2.0 * _AROUND_M))
         return BentMotion(bent.rigid, tuple(local))
 
 

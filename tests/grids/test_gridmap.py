@@ -155,7 +155,8 @@ POINTS = np.array([[0.0, 0.0], [5.0, 2.0], [-4.0, 8.0]])
 
 
 def local(x: float, y: float, off_x: float) -> LocalMotion:
-    return LocalMotion(np.array([x, y]), Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta), 10.0)
+    motion = Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta)
+    return LocalMotion(np.array([x, y]), motion, 10.0, 2.0)
 
 
 def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:

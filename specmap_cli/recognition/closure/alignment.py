@@ -91,8 +91,9 @@ class PieceFit:
 
     `known_m` of its `walls_m` lie where the other map saw; `confirmed_m` of these are there, too,
     and `contradicted_m` stand in its free space. `old_from_new` is the transform that fits it best,
-    `off_m` away where it lies, at `centre` (2,) in the new map. `partner` is the submap of the
-    other map that has most of these walls, if any has.
+    `off_m` away where it lies, at `centre` (2,) in the new map, from which its walls are `reach_m`
+    away, as a root mean square. `partner` is the submap of the other map that has most of these
+    walls, if any has.
     """
 
     submap: int
@@ -103,6 +104,7 @@ class PieceFit:
     old_from_new: Pose2
     off_m: float
     centre: FloatArray
+    reach_m: float
     partner: int | None
 
     @property
@@ -391,6 +393,7 @@ class _Map:
                 old_from_new=best @ Pose2(-x, -y, 0.0),
                 off_m=math.dist(best[:2], guess[:2]),
                 centre=middle,
+                reach_m=math.sqrt(float(((walls - middle) ** 2).sum(axis=1).mean())),
                 partner=other.partner(there, each_m),
             )
 
