@@ -39,8 +39,8 @@ from specmap_cli.topology.differences import Crossing, Differences, Obstacle, di
 from specmap_cli.topology.topological_map import default_name
 
 FILES = COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
-# Of a submap that lies where it fits by itself: how well it fits, metres of wall, and their share; a
-# room of which the other map saw but a wall slides along it, and lies as the maps do.
+# Of a submap that lies where it fits by itself: how well it fits, metres of wall, and their share.
+# A room of which the other map saw but a wall slides along it: it lies as the whole maps do.
 _LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
 
 
@@ -220,9 +220,12 @@ def _of_submaps(record: ComparisonRecord) -> list[str]:
         lines.append(f"submap {_listed([split.old], old)} is now {_listed(split.new, new)}")
     for merge in submaps.merged:
         lines.append(f"submaps {_listed(merge.old, old)} are now {_listed([merge.new], new)}")
-    if submaps.redrawn_old or submaps.redrawn_new:
-        before, after = _listed(submaps.redrawn_old, old), _listed(submaps.redrawn_new, new)
-        lines.append(f"submaps divided otherwise: {before or 'none'}, now {after or 'none'}")
+    before, after = _listed(submaps.redrawn_old, old), _listed(submaps.redrawn_new, new)
+    if before and after:
+        lines.append(f"submaps divided otherwise: {before}, now {after}")
+    elif before or after:
+        which = "old" if before else "new"
+        lines.append(f"submaps divided otherwise, in the {which} map alone: {before or after}")
     return lines
 
 

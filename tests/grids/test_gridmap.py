@@ -175,6 +175,18 @@ def test_without_local_motions_it_is_rigid_and_with_them_it_leads_there_and_back
     assert bent.inverse().apply(bent.apply(POINTS)) == pytest.approx(POINTS, abs=0.01)
 
 
+def test_a_small_room_that_lies_turned_does_not_bend_the_corridor_beside_it() -> None:
+    """Its heading is known to half a degree: over the length of a corridor that is decimetres."""
+    middle = Pose2(-3.0, 5.0, 0.0)
+    off = middle @ Pose2(0.1, 0.0, 0.02) @ middle.inverse()
+    room = LocalMotion(np.array(middle[:2]), RIGID @ off, 20.0, 3.0)
+    corridor = LocalMotion(np.zeros(2), RIGID, 100.0, 10.0)
+    bent = BentMotion(RIGID, (room, corridor))
+    places = np.array([middle[:2], (0.0, 18.0), (0.0, -18.0)])
+    away = np.hypot(*(bent.apply(places) - RIGID.apply(places)).T)
+    assert away == pytest.approx([0.08, 0.0, 0.0], abs=0.03)
+
+
 def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
     picture = (np.random.default_rng(0).random((233, 181)) > 0.002).astype(np.uint8)
     exact = distance_transform_edt(picture).astype(np.float32)

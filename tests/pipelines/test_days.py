@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.history import record
 from specmap_cli.history.record import BuildingRecord
@@ -22,8 +24,10 @@ from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
 from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.recognition.closure.alignment import Alignment, CommonGround, PieceFit
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.regions import NOBODY
+from tests.comparisons import comparison
 from tests.flats import QUICK, Mapped, rows
 from tests.maps.test_store import files_in
 
@@ -214,6 +218,53 @@ def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comp
     lines = compare.lines_of(told.record.model_copy(update={"old": old}))
     assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
     assert not any("(submap" in line for line in lines)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_a_submap_lies_as_the_maps_do_where_the_other_one_saw_less_than_half_of_it(
+    share: float,
+) -> None:
+    """A wall alone does not say where a room lies along it; with too little wall nothing counts."""
+    rigid, alone = Pose2(3.0, -1.0, 0.7), Pose2(3.1, -1.0, 0.71)
+    fit = PieceFit(
+        submap=0,
+        walls_m=40.0 / share,
+        known_m=50.0,
+        confirmed_m=40.0,
+        contradicted_m=0.0,
+        old_from_new=alone,
+        off_m=0.1,
+        centre=np.zeros(2),
+        reach_m=9.0,
+        partner=0,
+    )
+    ground = CommonGround(
+        old=(replace(fit, confirmed_m=4.0, known_m=4.0, walls_m=4.0),),
+        new=(fit,),
+        confirmed=1.0,
+        contradicted=0.0,
+        confirmed_m=40.0,
+        at_odds=0.0,
+        residual_m=0.0,
+    )
+    found = compare._motion(Alignment(old_from_new=rigid, reason="", ground=ground))
+    (local,) = found.local
+    assert local.motion == (alone if share > 0.5 else rigid)
+    assert (local.weight, local.reach_m) == (40.0, 9.0)
+    assert found.rigid == rigid
+
+
+def test_submaps_that_one_map_alone_divides_are_told_as_that() -> None:
+    for old, new, told in (
+        ([0], [1, 2], "submaps divided otherwise: 0 (Hall), now 1, 2"),
+        ([0], [], "submaps divided otherwise, in the old map alone: 0 (Hall)"),
+        ([], [1], "submaps divided otherwise, in the new map alone: 1"),
+    ):
+        found = comparison(
+            names=("Hall", "submap 1", "submap 2"),
+            submaps={"redrawn_old": old, "redrawn_new": new},
+        )
+        assert told in compare.lines_of(found)
 
 
 def test_the_area_of_a_map_is_that_of_the_free_cells_of_its_submaps(told: Comparison) -> None:
