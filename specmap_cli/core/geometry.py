@@ -227,25 +227,31 @@ def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float)
     return step.distance >= distance_m or abs(step.theta) >= angle_rad
 
 
+_RIGID_M = 0.25  # what a map's whole motion may be off by anywhere, as its layout bends
+_BEND = 0.01  # metres a metre: what a motion that holds at one place is off by at another
+
 _AT_ONCE = 1 << 20  # points times places: bounds the memory to some 100 MB
 
 
 @dataclass(frozen=True, slots=True)
 class LocalMotion:
-    """Within `reach_m` of `centre` (2,) of the source the motion is this one.
+    """At `centre` (2,) of the source the motion is this one.
 
-    `weight` says how sure that is.
+    `off_m` and `off_rad` are its standard deviations there, of the place and of the heading.
     """
 
     centre: FloatArray
     motion: Pose2
-    weight: float
-    reach_m: float
+    off_m: float
+    off_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class BentMotion:
-    """`rigid` from one map to another, with the motions that hold at some places; it blends."""
+    """`rigid` from one map to another, with the motions that hold at some places; it blends.
+
+    Each counts by what it may be off by: the heading of a small room says little far from it.
+    """
 
     rigid: Pose2
     local: tuple[LocalMotion, ...] = ()
@@ -255,17 +261,18 @@ class BentMotion:
         if not self.local:
             return self.rigid.apply(points)
         centres = np.array([one.centre for one in self.local])
-        reaches = np.array([one.reach_m**2 for one in self.local])
-        weights = reaches * [one.weight for one in self.local]
+        there = np.array([one.off_m**2 for one in self.local])
+        away = np.array([one.off_rad**2 + _BEND**2 for one in self.local])
         placed = np.zeros((len(points), 2))
         step = max(1, _AT_ONCE // len(self.local))
         for first in range(0, len(points), step):
-            some, there = points[first : first + step], placed[first : first + step]
+            some = points[first : first + step]
             squares = ((some[:, None, :] - centres[None]) ** 2).sum(axis=2)
-            shares = weights / (reaches + squares) ** 2  # far ones do not add up
+            shares = (there + away * squares) ** -2.0
+            shares = np.column_stack([shares, np.full(len(some), _RIGID_M**-4.0)])
             shares /= shares.sum(axis=1, keepdims=True)
-            for k, one in enumerate(self.local):
-                there += shares[:, k, None] * one.motion.apply(some)
+            for k, motion in enumerate([*(one.motion for one in self.local), self.rigid]):
+                placed[first : first + step] += shares[:, k, None] * motion.apply(some)
         return placed
 
     def near(self, place: FloatArray) -> Pose2:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
-from specmap_cli.core.geometry import IDENTITY, BentMotion, LocalMotion
+from specmap_cli.core.geometry import IDENTITY, BentMotion
 from specmap_cli.core.json_values import transform
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
@@ -34,14 +34,16 @@ from specmap_cli.pipelines.overlaps import (
     told_m,
     with_other_lengths,
 )
-from specmap_cli.recognition.closure.alignment import Alignment, align, told_length
+from specmap_cli.recognition.closure.alignment import (
+    Alignment,
+    align,
+    bent_motion,
+    told_length,
+)
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name
 
 FILES = COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
-# Of a submap that lies where it fits by itself: how well it fits, metres of wall, and their share.
-# A room of which the other map saw but a wall slides along it: it lies as the whole maps do.
-_LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +114,10 @@ def compare_maps(
         )
     if alignment.old_from_new is None:  # it may fit in more than one way, but this one is right
         alignment = Alignment(old_from_new=IDENTITY, reason="the maps are identical")
-    motion = _motion(alignment)
+    assert alignment.old_from_new is not None
+    ground = alignment.ground
+    fits = () if ground is None else (*ground.new, *ground.old)
+    motion = bent_motion(alignment.old_from_new, fits)
     tracks = one.labels.poses, other.labels.poses
     if stretch is not None and alignment.longer_m:
         motion = stretch.motion(motion, tracks[1], alignment.longer_m)
@@ -150,19 +155,6 @@ def _aligned(old: Map, new: Map, stretch: GuessedStretch | None) -> Alignment:
     off_m = told_m(quality_of_stored(old).findings)
     with new.scans() as store:
         return aligned(*given, with_other_lengths(stretch, off_m, store, new.labels, new.config))
-
-
-def _motion(alignment: Alignment) -> BentMotion:
-    """The motion from the new map to the old one, as its submaps lie in it."""
-    rigid, ground = alignment.old_from_new, alignment.ground
-    assert rigid is not None
-    local = []
-    for fit in () if ground is None else (*ground.new, *ground.old):
-        if fit.score >= _LEAST_FIT and fit.confirmed_m >= _LEAST_WALLS_M:
-            alone = fit.confirmed_m >= _LEAST_SHARE * fit.walls_m
-            motion = fit.old_from_new if alone else rigid
-            local.append(LocalMotion(fit.centre, motion, fit.confirmed_m, fit.reach_m))
-    return BentMotion(rigid, tuple(local))
 
 
 def _figures(stored: Map) -> MapFigures:

@@ -41,6 +41,7 @@ Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Ite
 _STEP_M = 0.5  # between lengths that are tried: submaps that lie off by half of it still match
 _TOLD = 2.0  # times what both maps tell: four standard deviations
 _MOST_STEPS = 8  # longer, and shorter: the search takes that many times as long
+_ALONG_WAY_M = 0.02  # what the motion on the way may be off by, once a length is chosen
 _AROUND_M = 1.0  # way to either side of its middle: its direction, and where it is lengthened
 
 
@@ -163,7 +164,7 @@ class GuessedStretch:
         for own, place in zip(poses[number, :2], there[number, :2], strict=True):
             x, y = (place - own).tolist()
             motion = bent.near(place) @ Pose2(x, y, 0.0)
-            local.append(LocalMotion(own, motion, 1.0, 2.0 * _AROUND_M))
+            local.append(LocalMotion(own, motion, _ALONG_WAY_M))
         return BentMotion(bent.rigid, tuple(local))
 
 

@@ -156,7 +156,7 @@ POINTS = np.array([[0.0, 0.0], [5.0, 2.0], [-4.0, 8.0]])
 
 def local(x: float, y: float, off_x: float) -> LocalMotion:
     motion = Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta)
-    return LocalMotion(np.array([x, y]), motion, 10.0, 2.0)
+    return LocalMotion(np.array([x, y]), motion, 0.02)
 
 
 def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:
@@ -179,8 +179,8 @@ def test_a_small_room_that_lies_turned_does_not_bend_the_corridor_beside_it() ->
     """Its heading is known to half a degree: over the length of a corridor that is decimetres."""
     middle = Pose2(-3.0, 5.0, 0.0)
     off = middle @ Pose2(0.1, 0.0, 0.02) @ middle.inverse()
-    room = LocalMotion(np.array(middle[:2]), RIGID @ off, 20.0, 3.0)
-    corridor = LocalMotion(np.zeros(2), RIGID, 100.0, 10.0)
+    room = LocalMotion(np.array(middle[:2]), RIGID @ off, 0.08, 0.02)
+    corridor = LocalMotion(np.zeros(2), RIGID, 0.12, 0.003)
     bent = BentMotion(RIGID, (room, corridor))
     places = np.array([middle[:2], (0.0, 18.0), (0.0, -18.0)])
     away = np.hypot(*(bent.apply(places) - RIGID.apply(places)).T)

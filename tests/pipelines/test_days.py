@@ -24,7 +24,7 @@ from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.recognition.closure.alignment import Alignment, CommonGround, PieceFit
+from specmap_cli.recognition.closure.alignment import PieceFit, bent_motion
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.regions import NOBODY
 from tests.comparisons import comparison
@@ -220,37 +220,28 @@ def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comp
     assert not any("(submap" in line for line in lines)
 
 
-@pytest.mark.parametrize("share", [0.4, 0.6])
-def test_a_submap_lies_as_the_maps_do_where_the_other_one_saw_less_than_half_of_it(
-    share: float,
-) -> None:
-    """A wall alone does not say where a room lies along it; with too little wall nothing counts."""
+def test_a_submap_lies_where_it_fits_by_itself_if_enough_of_its_walls_fix_it_there() -> None:
+    """A wall alone does not say where a room lies along it."""
     rigid, alone = Pose2(3.0, -1.0, 0.7), Pose2(3.1, -1.0, 0.71)
     fit = PieceFit(
         submap=0,
-        walls_m=40.0 / share,
+        walls_m=60.0,
         known_m=50.0,
         confirmed_m=40.0,
         contradicted_m=0.0,
         old_from_new=alone,
         off_m=0.1,
         centre=np.zeros(2),
-        reach_m=9.0,
+        spread_m=0.05,
+        spread_rad=0.01,
         partner=0,
     )
-    ground = CommonGround(
-        old=(replace(fit, confirmed_m=4.0, known_m=4.0, walls_m=4.0),),
-        new=(fit,),
-        confirmed=1.0,
-        contradicted=0.0,
-        confirmed_m=40.0,
-        at_odds=0.0,
-        residual_m=0.0,
-    )
-    found = compare._motion(Alignment(old_from_new=rigid, reason="", ground=ground))
+    along_a_wall = replace(fit, spread_m=0.18)
+    little = replace(fit, confirmed_m=4.0, known_m=4.0)
+    moved = replace(fit, contradicted_m=10.0)
+    found = bent_motion(rigid, [along_a_wall, little, moved, fit])
     (local,) = found.local
-    assert local.motion == (alone if share > 0.5 else rigid)
-    assert (local.weight, local.reach_m) == (40.0, 9.0)
+    assert (local.motion, local.off_m, local.off_rad) == (alone, 0.05, 0.01)
     assert found.rigid == rigid
 
 

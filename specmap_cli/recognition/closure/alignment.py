@@ -19,9 +19,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import BentMotion, FloatArray, LocalMotion, Pose2, wrap_angle
 from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.grids.matching import refine, search_everywhere
+from specmap_cli.grids.matching import covariance, refine, search_everywhere
 from specmap_cli.recognition.closure.verification import (
     COARSE_M,
     CONTRADICTION_WEIGHT,
@@ -68,6 +68,9 @@ _SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
 _ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
 _POINTS, _STEPS = 300, 8  # of the match of a submap
 _SAME_WALL_M = 0.3  # between walls of two submaps that are one
+# Of a submap that lies where it fits by itself: how well it fits, metres of wall, and the standard
+# deviation of its place. A room of which the other map saw but a wall slides along it.
+_FITS, _FITTING_M, _FIXED_M = 0.7, 5.0, 0.13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,8 +94,9 @@ class PieceFit:
 
     `known_m` of its `walls_m` lie where the other map saw; `confirmed_m` of these are there, too,
     and `contradicted_m` stand in its free space. `old_from_new` is the transform that fits it best,
-    `off_m` away where it lies, at `centre` (2,) in the new map, from which its walls are `reach_m`
-    away, as a root mean square. `partner` is the submap of the other map that has most of these
+    `off_m` away from where it was looked for, at `centre` (2,) in the new map. The scores around it
+    leave `spread_m` open there, in the direction in which they leave most, and `spread_rad` of the
+    heading (standard deviations). `partner` is the submap of the other map that has most of these
     walls, if any has.
     """
 
@@ -104,7 +108,8 @@ class PieceFit:
     old_from_new: Pose2
     off_m: float
     centre: FloatArray
-    reach_m: float
+    spread_m: float
+    spread_rad: float
     partner: int | None
 
     @property
@@ -112,6 +117,16 @@ class PieceFit:
         """The share confirmed less twice the share contradicted."""
         lost = CONTRADICTION_WEIGHT * self.contradicted_m
         return (self.confirmed_m - lost) / self.known_m if self.known_m > 0.0 else 0.0
+
+
+def bent_motion(rigid: Pose2, fits: Iterable[PieceFit]) -> BentMotion:
+    """The motion between two maps, `rigid` and bent to where their submaps fit."""
+    local = [
+        LocalMotion(fit.centre, fit.old_from_new, fit.spread_m, fit.spread_rad)
+        for fit in fits
+        if fit.score >= _FITS and fit.confirmed_m >= _FITTING_M and fit.spread_m <= _FIXED_M
+    ]
+    return BentMotion(rigid, tuple(local))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -371,31 +386,52 @@ class _Map:
         """The walls of each submap, to ask which of them has a wall."""
         return {id_: cKDTree(walls) for id_, walls in self.walls.items()}
 
-    def fits(self, other: _Map, other_from_map: Pose2) -> Iterator[PieceFit]:
-        """Its submaps against the whole of another map; `old_from_new` is from here to there."""
-        for id_, walls in self.walls.items():
-            middle, each_m = walls.mean(axis=0), self.metres[id_]
-            x, y = middle.tolist()
-            guess = other_from_map @ Pose2(x, y, 0.0)
-            points = evenly(walls - middle, _POINTS)
-            best = refine(other.whole.field, points, guess, _STEPS, _SLACK_M).pose
-            if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
-                best = guess
-            there = best.apply(walls - middle)
-            said = agreement(other.whole, there)
-            known_m = said.known * len(walls) * each_m
-            yield PieceFit(
-                submap=id_,
-                walls_m=len(walls) * each_m,
-                known_m=known_m,
-                confirmed_m=said.confirmed * known_m,
-                contradicted_m=said.contradicted * known_m,
-                old_from_new=best @ Pose2(-x, -y, 0.0),
-                off_m=math.dist(best[:2], guess[:2]),
-                centre=middle,
-                reach_m=math.sqrt(float(((walls - middle) ** 2).sum(axis=1).mean())),
-                partner=other.partner(there, each_m),
-            )
+    def fits(self, other: _Map, other_from_map: Pose2) -> list[PieceFit]:
+        """Its submaps against the whole of another map; `old_from_new` is from here to there.
+
+        One that does not fit where the transform puts it may fit where those do that lie round it:
+        a layout bends from room to room.
+        """
+        found = {id_: self._fit(id_, other, other_from_map) for id_ in self.walls}
+        while True:
+            bent = bent_motion(other_from_map, found.values())
+            better = {}
+            for id_, before in found.items():
+                if before.score < _FITS:
+                    fit = self._fit(id_, other, bent.near(before.centre))
+                    if fit.score >= _FITS:
+                        better[id_] = fit
+            if not better:
+                return list(found.values())
+            found |= better
+
+    def _fit(self, id_: int, other: _Map, other_from_map: Pose2) -> PieceFit:
+        """A submap where it fits best near where a transform puts it."""
+        walls, each_m = self.walls[id_], self.metres[id_]
+        middle = walls.mean(axis=0)
+        x, y = middle.tolist()
+        guess = other_from_map @ Pose2(x, y, 0.0)
+        points = evenly(walls - middle, _POINTS)
+        best = refine(other.whole.field, points, guess, _STEPS, _SLACK_M).pose
+        if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
+            best = guess
+        there = best.apply(walls - middle)
+        said = agreement(other.whole, there)
+        known_m = said.known * len(walls) * each_m
+        spread = covariance(other.whole.field, points, best)
+        return PieceFit(
+            submap=id_,
+            walls_m=len(walls) * each_m,
+            known_m=known_m,
+            confirmed_m=said.confirmed * known_m,
+            contradicted_m=said.contradicted * known_m,
+            old_from_new=best @ Pose2(-x, -y, 0.0),
+            off_m=math.dist(best[:2], guess[:2]),
+            centre=middle,
+            spread_m=math.sqrt(float(np.linalg.eigvalsh(spread[:2, :2])[-1])),
+            spread_rad=math.sqrt(float(spread[2, 2])),
+            partner=other.partner(there, each_m),
+        )
 
     def partner(self, walls: FloatArray, each_m: float) -> int | None:
         """The submap that has most of some walls (n, 2) in the map, if one has enough."""
