@@ -12,7 +12,14 @@ from scipy.ndimage import binary_dilation
 
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
+from specmap_cli.recognition.closure.alignment import (
+    Alignment,
+    MapToAlign,
+    _Map,
+    align,
+    bent_motion,
+)
+from specmap_cli.recognition.closure.verification import prepared
 
 ALL, CELL_M = range(7), 0.05
 _WALL_M, _CORRIDOR_M, _DOOR_M, _BESIDE_M = 0.2, 2.0, 0.9, 1.0
@@ -165,6 +172,29 @@ def test_furniture_that_was_moved_does_not_matter() -> None:
     plan, frame = random_floor(4), Pose2(1.0, 1.0, -2.0)
     boxes = [(a + 0.5, b + 1.2, a + 1.3, b + 1.6) for a, b, _, _ in plan.rooms[:3]]
     assert_right(align(seen(plan), seen(plan.with_boxes(*boxes), ALL, frame)), frame)
+
+
+def test_rooms_are_found_where_those_beside_them_lie_when_a_layout_is_longer() -> None:
+    """The last room lies 0.8 m from where the motion of the first one puts it."""
+    rng = np.random.default_rng(7)
+    sizes = [tuple(rng.uniform((3.0, 3.0), (5.0, 6.0)).tolist()) for _ in range(14)]
+    doors = rng.uniform(size=len(sizes)).tolist()
+    plan, longer = floor(sizes, doors), floor([(w + 0.06, d) for w, d in sizes], doors)
+    maps = [seen(each, range(14)) for each in (plan, longer)]
+    wholes = [prepared(each.whole) for each in maps]
+    assert wholes[0] is not None
+    assert wholes[1] is not None
+    fits = _Map(maps[1], wholes[1]).fits(_Map(maps[0], wholes[0]), IDENTITY)
+    middles, there = (
+        np.array([((a + c) / 2, (b + d) / 2) for a, b, c, d in one.rooms[:14]])
+        for one in (longer, plan)
+    )
+    away = np.hypot(*(middles - there).T)
+    assert away.max() > 0.75
+    off = np.hypot(*(bent_motion(IDENTITY, fits).apply(middles) - there).T)
+    assert np.median(off) < 0.05
+    assert off[-3:].max() < 0.1
+    assert max(fit.off_m for fit in fits) < 0.5
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (2, 3), (4, 5), (6, 7)])
