@@ -34,12 +34,8 @@ from specmap_cli.pipelines.overlaps import (
     told_m,
     with_other_lengths,
 )
-from specmap_cli.recognition.closure.alignment import (
-    Alignment,
-    align,
-    bent_motion,
-    told_length,
-)
+from specmap_cli.recognition.closure.alignment import Alignment, align, told_length
+from specmap_cli.recognition.closure.common_ground import bent_motion
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name
 

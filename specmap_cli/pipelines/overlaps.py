@@ -29,7 +29,8 @@ from specmap_cli.pipelines.learning import submap_grids
 from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.quality.findings import UNMEASURED
-from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.closure.common_ground import MapToAlign
 from specmap_cli.recognition.learning.sampling import Track
 
 Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i

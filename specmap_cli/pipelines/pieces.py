@@ -28,7 +28,8 @@ from specmap_cli.pipelines.map_in_making import Breaks
 from specmap_cli.pipelines.session import Session
 from specmap_cli.quality.evidence import SAME_PLACE_M, Rival, holes_of
 from specmap_cli.quality.holes import doubt_of
-from specmap_cli.recognition.closure.alignment import MapToAlign, align
+from specmap_cli.recognition.closure.alignment import align
+from specmap_cli.recognition.closure.common_ground import MapToAlign
 from specmap_cli.recognition.closure.verification import are_rivals
 
 # Way of a piece that is looked at: out of a room, and this share of the drive.

@@ -62,7 +62,8 @@ from specmap_cli.pipelines.overlaps import (
 from specmap_cli.pipelines.reports import BuildReport, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
-from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
+from specmap_cli.recognition.closure.alignment import Alignment
+from specmap_cli.recognition.closure.common_ground import MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import inherited, walled_off

@@ -24,7 +24,7 @@ from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.recognition.closure.alignment import PieceFit, bent_motion
+from specmap_cli.recognition.closure.common_ground import PieceFit, bent_motion
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.regions import NOBODY
 from tests.comparisons import comparison

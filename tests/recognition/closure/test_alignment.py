@@ -12,13 +12,8 @@ from scipy.ndimage import binary_dilation
 
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.recognition.closure.alignment import (
-    Alignment,
-    MapToAlign,
-    _Map,
-    align,
-    bent_motion,
-)
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.closure.common_ground import MapToAlign, SubmapWalls, bent_motion
 from specmap_cli.recognition.closure.verification import prepared
 
 ALL, CELL_M = range(7), 0.05
@@ -184,7 +179,7 @@ def test_rooms_are_found_where_those_beside_them_lie_when_a_layout_is_longer() -
     wholes = [prepared(each.whole) for each in maps]
     assert wholes[0] is not None
     assert wholes[1] is not None
-    fits = _Map(maps[1], wholes[1]).fits(_Map(maps[0], wholes[0]), IDENTITY)
+    fits = SubmapWalls(maps[1], wholes[1]).fits(SubmapWalls(maps[0], wholes[0]), IDENTITY)
     middles, there = (
         np.array([((a + c) / 2, (b + d) / 2) for a, b, c, d in one.rooms[:14]])
         for one in (longer, plan)
