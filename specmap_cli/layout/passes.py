@@ -23,7 +23,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_a
 from specmap_cli.core.shortcuts import Shortcuts
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
-from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
+from specmap_cli.layout.consistency import DRIFT_SHARE, path_error
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
     LOOP_PATH_M,
@@ -256,7 +256,9 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
         part = int(graph.parts[row])
         if row < first or part not in draft.tied or graph.parts[last] != part:
             continue
-        error = _in_map(spread, last, row)
+        error = spread.between(np.array([last]), np.array([row]))[0]
+        turn = Pose2(*spread.poses[row].tolist()).rotation()  # of the place: in the map's axes
+        error[:2, :2] = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
         longest = float(np.sqrt(np.linalg.eigvalsh(error[:2, :2])[-1]))
         if PRIOR_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
             continue
@@ -275,11 +277,3 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             fit = around.find(view, seen, Prior(Pose2(*draft.poses[row].tolist()), error))
             links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
     return tuple(links)
-
-
-def _in_map(spread: Uncertainty, last: int, row: int) -> FloatArray:
-    """The covariance (3, 3) of a row seen from another one, its place in the axes of the map."""
-    error: FloatArray = spread.between(np.array([last]), np.array([row]))[0]
-    turn = Pose2(*spread.poses[row].tolist()).rotation()
-    error[:2, :2] = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
-    return error

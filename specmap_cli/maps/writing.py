@@ -79,7 +79,8 @@ def write_map(
     """
     directory = Path(directory)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
-    _write_labels(directory, (result.regions.owner + 1).astype(np.uint16))
+    labels = (result.regions.owner + 1).astype(np.uint16)
+    write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, result.overview)
     for name, text in (
         (filenames.CLASSIFIERS, result.classifiers),
@@ -121,14 +122,9 @@ def write_segmentation(
     labels, (height, width) = np.zeros(full.cells.shape, dtype=np.uint16), regions.owner.shape
     row, column = full.cells_of(regions.grid.centres_of(np.zeros((1, 2))))[0].tolist()
     labels[row : row + height, column : column + width] = regions.owner + 1
-    _write_labels(directory, labels)
+    write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
-
-
-def _write_labels(directory: Path, labels: NDArray[np.uint16]) -> None:
-    """Write labels.png: the submap of each cell (H, W) plus 1; 0 has none."""
-    write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
 
 
 def _write_topology(

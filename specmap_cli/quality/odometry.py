@@ -50,7 +50,10 @@ _ROUNDS = 20  # of weighting the pieces anew: later ones change nothing
 
 def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
     """A laser that is not where the log says: the way of the map is not that of the base."""
-    otherwise, turns = turned_otherwise(evidence.trajectory)
+    by_map, by_odometry = (motions[:, 2] for motions in _pieces(evidence.trajectory))
+    turning = np.abs(by_map) > _ALIKE_RAD
+    mirrored = np.abs(wrap_angles(by_map + by_odometry)) <= _ALIKE_RAD
+    otherwise, turns = int((mirrored & turning).sum()), int(turning.sum())
     if turns >= _LEAST_TURNS and 2 * otherwise > turns:
         yield Finding(
             code=MISPLACED,
@@ -176,14 +179,6 @@ def _scaled(ratios: FloatArray) -> Iterator[Finding]:
             value=off,
             limit=limit,
         )
-
-
-def turned_otherwise(trajectory: Trajectory) -> tuple[int, int]:
-    """How many turns by the map odometry has the other way round, and how many turns there are."""
-    turns, by_odometry = (motions[:, 2] for motions in _pieces(trajectory))
-    turning = np.abs(turns) > _ALIKE_RAD
-    otherwise = np.abs(wrap_angles(turns + by_odometry)) <= _ALIKE_RAD
-    return int((otherwise & turning).sum()), int(turning.sum())
 
 
 def _pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
