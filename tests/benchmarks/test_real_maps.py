@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.localized import Localized, judged, nearest, scored
-from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
-from benchmarks.real.reliability import Told, diagram, line, reliability
+from benchmarks.localized import Localized, judged, scored
+from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, thinned
+from benchmarks.real.reliability import Told, line, reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
 from specmap_cli.recognition.localization.localizer import Label
@@ -112,14 +112,6 @@ def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None
     assert np.median([one.off_m for one in wrong]) == pytest.approx(0.5, abs=0.05)
 
 
-def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
-    for axis in (0, 2):
-        way = np.arange(0, 2, 0.1)[:, None] * np.eye(3)[axis]
-        assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
-    rows = nearest(np.array([0, 10, 20]), np.array([-5, 4, 6, 14, 16, 99]))  # of stamps
-    assert rows.tolist() == [0, 0, 1, 1, 2, 2]
-
-
 def test_poses_are_right_wrong_or_neither() -> None:
     said = np.zeros((5, 3))
     said[:, 0] = 0.09, 0.2, 0.0, 0.6, np.nan
@@ -138,12 +130,3 @@ def test_labels_without_a_truth_are_left_out() -> None:
     assert told.single_right.tolist() == [True, True, False]
     assert told.filtered_right.tolist() == [True, False, True]
     assert "     3 |       0.667, 0.133 |         0.667, 0.267" in line("a recording", told)
-
-
-def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
-    told = Told(*(2 * (np.array([0.5, 0.5]), np.array([True, False]))))
-    rows = diagram(told).splitlines()
-    assert len(rows) == 2
-    assert rows[0].endswith("says 0.500, right 0.500,      2  " + 20 * "#" + "|")
-    sure = Told(*(2 * (np.array([0.99, 0.99]), np.array([True, False]))))
-    assert diagram(sure).splitlines()[1].endswith("  " + 20 * "#" + 20 * " " + "|")

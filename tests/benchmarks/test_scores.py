@@ -155,31 +155,3 @@ def test_rooms_that_share_a_region_are_counted_and_plans_and_robots_the_same_by_
     robots, same, others = ([robot(k, n) for n in range(8)] for k in ("ring", "ring", "hall"))
     assert robots == same != others
     assert len({(o.field_of_view_deg, o.beams, o.range_max_m, o.noise_m) for o in robots}) > 5
-
-
-def test_keyframes_outside_the_rooms_or_in_no_submap_are_left_out() -> None:
-    truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)
-    places = np.array([[0.5, 0.5], [9.0, 9.0], [1.5, 0.5], [1.5, 0.5], [-7.0, 0.5]])
-    with_strays = map_scores(truth, places, np.array([0, 4, 1, -1, 5]))
-    without = map_scores(truth, places[[0, 2]], np.array([0, 1]))
-    assert with_strays == without
-    assert without.purity == 1.0
-
-
-def test_regions_over_visits_and_one_submap_for_all_rooms_that_says_nothing() -> None:
-    visits, rooms = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 0, 1, 1, 0, 0])
-    for submaps, homogeneous in ((rooms, 1.0), (np.zeros_like(rooms), 0.0)):
-        scores = visit_scores(rooms=rooms, visits=visits, submaps=submaps, regions=visits)
-        assert scores.homogeneity == pytest.approx(homogeneous, abs=1e-12)
-        assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
-
-
-@pytest.mark.parametrize("kind", sorted(BUILDINGS))
-def test_furniture_changes_no_room_and_shuts_nothing_off(kind: str) -> None:
-    for number in range(3):
-        bare, full = (random_plan(kind, number, furnished) for furnished in (False, True))
-        assert np.array_equal(bare.labels, full.labels)
-        assert (full.free <= bare.free).all()
-        assert 0.7 < full.free.sum() / bare.free.sum() < 1.0
-        inner = (ndimage.binary_erosion(plan.free, iterations=5) for plan in (bare, full))
-        assert len({ndimage.label(free)[1] for free in inner}) == 1

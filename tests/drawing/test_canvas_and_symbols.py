@@ -28,15 +28,6 @@ def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
     assert not dark[30:, 10:30].any()
 
 
-def test_dashes_begin_anew_at_a_corner_and_skip_points_that_repeat() -> None:
-    way = np.array([[10.0, 10.0], [10.0, 10.0], [40.0, 10.0], [40.0, 60.0], [40.0, 60.0]])
-    canvas = Canvas(60, 80)
-    canvas.dashes(way, INK, 1, 10.0, 40.0)
-    along, down = canvas.image[10, :36, 0] < 200, canvas.image[:, 40, 0] < 200
-    for dashes in (along, down):
-        assert bounds(dashes[None])[:2] == pytest.approx((10, 20), abs=1)
-
-
 @given(positions, positions, st.floats(3.0, 12.0))
 def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, r: float) -> None:
     canvas = Canvas(60, 60)
@@ -79,14 +70,6 @@ def test_words_of_scripts_from_right_to_left_stand_in_their_order(
     np.testing.assert_array_equal(canvas.image, as_shown.image)
 
 
-def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:
-    """Two pixels are left free before it."""
-    upright, lying = Canvas(60, 120), Canvas(120, 60)
-    upright.upright_text(30, 110, "TL", 14)
-    lying.text(12, 30, "TL", 14)
-    np.testing.assert_array_equal(upright.image, np.rot90(lying.image))
-
-
 def test_what_lies_outside_is_cut_off() -> None:
     canvas = Canvas(30, 30)
     canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)
@@ -99,31 +82,6 @@ def test_what_lies_outside_is_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
-
-
-@pytest.mark.parametrize(
-    ("kind", "colour", "strokes"),
-    [
-        ("traversed", palette.TRAVERSED, 1),
-        ("doorway", palette.TRAVERSED, 1),
-        ("closure", palette.CLOSURE, 8),
-        ("loose", palette.LOOSE, 17),
-        ("seen", palette.TRAVERSED, 16),
-        ("narrow", palette.TRAVERSED, 17),
-    ],
-)
-def test_the_lines_of_links(kind: symbols.LinkKind, colour: palette.Colour, strokes: int) -> None:
-    canvas = Canvas(240, 40, palette.SHADE)
-    symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
-    along = of_colour(canvas.image, colour, 60)[20]
-    assert np.count_nonzero(np.diff(along.astype(int)) == 1) == strokes
-    assert near(canvas.image, colour) > 100
-    others = {palette.TRAVERSED, palette.CLOSURE, palette.LOOSE} - {colour}
-    assert not any(near(canvas.image, other) for other in others)
-    if strokes < 10:  # paper sets it off from the ground
-        rows = np.flatnonzero(of_colour(canvas.image, palette.PAPER, 8)[:, 24])
-        assert rows.min() < 19
-        assert rows.max() > 21
 
 
 @pytest.mark.parametrize("driven", [True, False])

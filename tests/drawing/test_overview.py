@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.findings import Finding, Quality, Where
@@ -16,13 +16,13 @@ from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.drawing import palette, symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import drawn_as, render_overview, render_segmentation, spread
-from specmap_cli.drawing.sheet import LONG_SIDE, MARGIN, TITLE, Sheet, Stroke, extent_of, strokes
+from specmap_cli.drawing.sheet import LONG_SIDE, MARGIN, TITLE, Sheet, extent_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Door, Edge, LogInfo, Submap, TopologicalMap
-from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, one_room, pixel
-from tests.strategies import grid_maps, lengths, seeds
+from tests.drawing.looking import inked, is_framed, near, of_colour, one_room, pixel
+from tests.strategies import lengths, seeds
 
 NOWHERE = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NOWHERE.stamps_ns)
@@ -122,22 +122,6 @@ def test_the_margin_tells_days_frame_and_verdict(monkeypatch: pytest.MonkeyPatch
     assert said == [f"2024-10-04 to 2024-10-05,  {of_no_date}", of_no_date, of_no_date]
 
 
-@pytest.mark.parametrize(("cells", "said"), [(0, False), (300, False), (500, True)])
-def test_what_was_only_seen_is_explained_when_it_is_worth_a_word(cells: int, said: bool) -> None:
-    """From a square metre on; the picture of a finished map tells its area, too."""
-    topology, regions = one_room((102, 102))
-    owner, log = regions.owner.copy(), LogInfo("log")
-    owner.reshape(-1)[np.flatnonzero(regions.grid.free)[:cells]] = NOBODY
-    regions = Regions.of(regions.grid, owner)
-    overview = render_overview(topology, regions, NOWHERE, UNLABELLED, [log])
-    plan = render_segmentation(topology, regions, log)
-    for image in (overview, plan):
-        assert (near(image[TITLE + 1800 + 30 :], palette.SEEN) > 500) is said
-        assert (near(image[TITLE : TITLE + 1800], palette.SEEN) > 500) is (cells > 0)
-    untold = render_segmentation(topology, replace(regions, seen=()), log)
-    assert (untold[:TITLE] != plan[:TITLE]).any() is np.bool_(said)
-
-
 def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_drawn() -> None:
     """Two rooms side by side; what links look like is a matter of symbols."""
     cells = np.full((40, 80), OCCUPIED, dtype=np.uint8)
@@ -226,13 +210,6 @@ def test_a_way_to_the_end_of_the_world_takes_no_more_memory() -> None:
     assert most < 200e6
 
 
-EVERYTHING = symbols.legend_of(symbols.SYMBOLS)
-
-
-def sheet_of(width_m: float, height_m: float, legend: symbols.Legend = ()) -> Sheet:
-    return Sheet(np.zeros(2), np.array([width_m, height_m]), legend)
-
-
 @pytest.mark.parametrize("shape", [(20, 4000), (4000, 20), (5, 5), (900, 900)])
 def test_any_extent_fits_the_sheet(shape: tuple[int, int]) -> None:
     topology, regions = one_room(shape)
@@ -285,85 +262,3 @@ def test_cells_have_their_colours_and_regions_a_border(origin: tuple[float, floa
     assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
     seen = [pixel(image, place) for place in inside]
     assert seen == [palette.FILLS[0], palette.INK, palette.SEEN, palette.PAPER]
-
-
-@given(grid_maps())
-def test_the_extent_is_that_of_the_known_cells_if_there_are_any(grid: GridMap) -> None:
-    regions = Regions(grid, np.full(grid.cells.shape, NOBODY), {})
-    low, high = extent_of(regions)
-    corners = [
-        grid.origin + grid.resolution * np.array([column + i, row + i])
-        for row, column in np.argwhere(grid.cells != UNKNOWN).tolist()
-        for i in (0, 1)
-    ]
-    if corners:
-        np.testing.assert_allclose([low, high], [np.min(corners, 0), np.max(corners, 0)])
-    nothing = GridMap(np.full_like(grid.cells, UNKNOWN), 0.05, (3.0, -2.0))
-    low, high = extent_of(Regions(nothing, regions.owner, {}))
-    assert (low.tolist(), high.tolist()) == ([3.0, -2.0], [3.5, -1.5])  # half a metre is shown
-
-
-@pytest.mark.parametrize("extent_m", [0.1, 0.5, 3.0, 17.0, 60.0, 300.0, 2750.0])
-def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
-    sheet = sheet_of(extent_m, extent_m)
-    dark = of_colour(sheet.canvas.image[TITLE + sheet.map_height :], palette.INK, 0)
-    top = int(np.argmax(dark[:, MARGIN]))
-    length = int(np.argmin(dark[top, MARGIN:])) - 1
-    length_m = length / sheet.pixels_per_m
-    round_lengths = [n * 10.0**power for n in (1, 2, 5) for power in range(-4, 4)]
-    assert min(abs(length_m / other - 1.0) for other in round_lengths) < 0.01
-    assert 360 / 2.6 < length < 362
-    assert not dark[:, :MARGIN].any()
-
-
-@pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
-def test_the_legend_lies_below_and_entries_do_not_touch(width_m: float, height_m: float) -> None:
-    bare, full = sheet_of(width_m, height_m), sheet_of(width_m, height_m, EVERYTHING)
-    assert full.map_height == bare.map_height
-    below = inked(full.canvas.image)
-    left, right, top, bottom = bounds(below)
-    assert top > TITLE + full.map_height
-    assert left >= MARGIN - 4
-    assert right <= full.canvas.image.shape[1] - MARGIN
-    assert bottom < full.canvas.image.shape[0] - 10
-    for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SEEN):
-        assert near(full.canvas.image, colour) > 80
-        assert near(bare.canvas.image, colour) < 40  # the rims of letters
-    starts = np.flatnonzero(np.diff(below.any(axis=1).astype(int)) == 1) + 1
-    lines = [below[start : start + 16].any(axis=0) for start in starts[1:]]  # below the scale bar
-    gaps = [np.diff(np.flatnonzero(line)) for line in lines]
-    assert sum(1 + int((each > 30).sum()) for each in gaps) >= len(EVERYTHING)
-
-
-def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
-    """It would else be what a small map needs most memory for."""
-    _, regions = one_room((300, 300))
-    sheet = Sheet(*extent_of(regions), ())
-    tracemalloc.start()
-    sheet.ground(regions, {0: palette.FILLS[0]})
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    pixels = sheet.canvas.image.size // 3
-    assert peak < 32 * pixels  # all colours of all pixels as float64, twice, would be 48
-
-
-def way(steps_m: list[float]) -> FloatArray:
-    """Places (n + 1, 2) along a line, so far from one to the next."""
-    return np.column_stack([np.cumsum([0.0, *steps_m]), np.zeros(len(steps_m) + 1)])
-
-
-@given(seeds, st.integers(1, 60))
-def test_strokes_are_the_runs_between_jumps(seed: int, count: int) -> None:
-    """Against a walk from scan to scan."""
-    rng = np.random.default_rng(seed)
-    labels = rng.integers(0, 3, count)
-    jumps = rng.random(count - 1) < 0.05
-    places = way(np.where(jumps, 40.0, 0.1).tolist())
-    assume(jumps.sum() <= 0.08 * count)  # more of them would be usual steps
-    expected, first = [], 0
-    for k in range(1, count + 1):
-        if k == count or jumps[k - 1] or labels[k] != labels[k - 1]:
-            goes_on = k < count and not jumps[k - 1]
-            expected.append(Stroke(first, k, k + 1 if goes_on else k))
-            first = k
-    assert strokes(places, labels) == expected

@@ -1,7 +1,5 @@
 """Pictures of what the segmentation looked at: nodes, ways, sight lines and eigenvalues."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -14,16 +12,14 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import Segmentation
 from specmap_cli.segmentation.online import Occasion, SplitTest
 from specmap_cli.segmentation.spectral import Spectrum
-from tests.drawing.looking import bounds, inked, of_colour, pixel
+from tests.drawing.looking import bounds, of_colour, pixel
 
 ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it left
-DARK, RED = (40, 40, 40), (60, 60, 200)
+DARK = (40, 40, 40)
 HEIGHT = 240  # of the map in the picture of a test: 8 m x 4 m, 480 pixels wide
 SPECTRUM = 150  # pixels at the bottom
 WORDS = 82  # between them: three lines
 WHEN = Occasion(120, 312, 125.34)
-# of the spectrum: the highest bar, the lowest row, the last column
-TOP, FLOOR, RIGHT = 12, 126, 438
 
 
 def drawn(test: SplitTest, threshold: float = 0.6, split: bool = True) -> Image:
@@ -61,14 +57,6 @@ def spot(x: float, y: float) -> FloatArray:
     return np.array([(x - 10.0) * 60.0, HEIGHT - (y + 2.0) * 60.0])
 
 
-def bars(image: Image) -> list[int]:
-    spectrum = image[-SPECTRUM:]
-    filled = of_colour(spectrum, (170, 170, 170), 0) | of_colour(spectrum, ORANGE, 0)
-    floor = filled[FLOOR - 3]
-    starts = np.flatnonzero(np.diff(np.concatenate([[0], floor.astype(int)])) == 1)
-    return [int(filled[:, start + 2].sum()) for start in starts]
-
-
 def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> None:
     image = drawn(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]))
     assert image.shape == (HEIGHT + WORDS + SPECTRUM, 480, 3)
@@ -95,47 +83,6 @@ def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_rob
     assert right - left == pytest.approx(60.0, abs=2)  # the scale: a metre
 
 
-@pytest.mark.parametrize(("chosen", "threshold"), [(0, 0.2), (1, 0.6), (3, 0.95)])
-def test_bars_are_as_high_as_the_eigenvalues(chosen: int, threshold: float) -> None:
-    values = [1.0, 0.75, 0.5, 0.25]
-    image = drawn(split_test(eigenvalues=values, chosen=chosen), threshold)
-    heights, spectrum = bars(image), image[-SPECTRUM:]
-    assert len(heights) == 4
-    np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
-    orange = of_colour(spectrum, ORANGE, 0)
-    assert orange.any() == bool(chosen)
-    if chosen:
-        assert bounds(orange)[0] == pytest.approx(8 + chosen * 430 / 12, abs=1)
-    left, right, *rows = bounds(of_colour(spectrum, RED, 0)[:, : RIGHT + 1])
-    assert (left, right) == pytest.approx((8, RIGHT), abs=1)
-    assert rows == pytest.approx([FLOOR - threshold * (FLOOR - TOP)] * 2, abs=1)
-    assert of_colour(spectrum, RED, 60)[:, RIGHT + 2 :].any()  # its figure
-
-
-def test_the_words_tell_the_decision_and_when_it_was_made_and_fit() -> None:
-    """What changes changes one of three lines, and neither the map nor the spectrum."""
-
-    def lines_of(image: Image) -> list[Image]:
-        start = HEIGHT + 8
-        return [image[start + 22 * k : start + 22 * (k + 1)] for k in range(3)]
-
-    test = split_test()
-    usual = drawn(test)
-    changed = {
-        0: drawn(test, split=False),
-        1: draw_test(test, 0.6, True, replace(WHEN, seconds=126.0)),
-        2: draw_test(test, 0.6, True, replace(WHEN, first=121)),
-    }
-    for line, image in changed.items():
-        pairs = zip(lines_of(image), lines_of(usual), strict=True)
-        assert [np.array_equal(*pair) for pair in pairs] == [k != line for k in range(3)]
-        np.testing.assert_array_equal(image[:HEIGHT], usual[:HEIGHT])
-        np.testing.assert_array_equal(image[-SPECTRUM:], usual[-SPECTRUM:])
-    for words in lines_of(draw_test(test, 0.123456, False, Occasion(100_000, 200_000, 90_061.0))):
-        left, right, *_ = bounds(inked(words))
-        assert 7 <= left < right <= 473
-
-
 def segmentation(labels: list[int], pairs: list[tuple[int, int]]) -> Segmentation:
     """Nodes two metres apart along the corridor."""
     n, names = len(labels), np.array(labels, dtype=np.int32)
@@ -159,17 +106,6 @@ def test_nodes_of_a_division_have_a_colour_a_region() -> None:
     assert seen[0] == seen[1]
     assert len({seen[1], seen[2], seen[3]}) == 3
     assert cv2.cvtColor(np.array([seen], dtype=np.uint8), cv2.COLOR_BGR2HSV)[0, :, 1].min() > 150
-
-
-def test_sight_lines_between_regions_are_red_and_the_longer_half_is_left_out() -> None:
-    near_pairs = [(0, 1), (1, 2), (2, 3)]
-    image = draw_segmentation(corridor(), segmentation([0, 0, 1, 1], near_pairs), 0.75)
-    alike, apart = (225, 225, 225), (140, 140, 230)
-    assert of_colour(image, alike, 12).sum() > 2 * 100
-    assert of_colour(image, apart, 60).sum() > 100
-    farther = [*near_pairs, (0, 2), (1, 3), (0, 3)]
-    again = draw_segmentation(corridor(), segmentation([0, 0, 1, 1], farther), 0.75)
-    np.testing.assert_array_equal(image[:-SPECTRUM], again[:-SPECTRUM])
 
 
 def test_the_picture_shows_the_free_part_of_a_large_map_and_the_whole_of_one_without() -> None:

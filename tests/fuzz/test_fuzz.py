@@ -22,7 +22,6 @@ from fuzz.report import Tally
 from fuzz.running import run_command
 from fuzz.seeds import Seeds, make_seeds, write_intact
 from fuzz.workers import Limits, Outcome, Pool, _Worker
-from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.maps.store import Map
@@ -135,23 +134,6 @@ def test_a_worker_that_dies_is_replaced(seeds: Seeds, monkeypatch: pytest.Monkey
     assert 1 < len([outcome for outcome in found if "died" in kinds([outcome])]) < len(numbers)
 
 
-def test_an_output_beside_an_error_is_found(seeds: Seeds, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plot that fails after the table was written leaves half of a result."""
-
-    def refuse_to_plot(contents: dict[Path, bytes]) -> None:
-        first, *others = contents
-        first.write_bytes(contents[first])
-        if others:
-            raise UsageError(f"{others[0]}: planted")
-
-    monkeypatch.setattr("specmap_cli.pipelines.localize.write_together", refuse_to_plot)
-    cases = (case_of(seeds, SEED, number) for number in range(1, 40_000, 20))
-    plotted = (case for case in cases if isinstance(case, MapCase) and case.plot)
-    # of a map that is damaged where `localize` does not look
-    number = next(case.number for case in plotted if case.notes[0].startswith("overview.png"))
-    assert "half-written" in kinds(outcomes(seeds, [number]))
-
-
 def test_a_case_is_the_same_every_time(seeds: Seeds) -> None:
     again = make_seeds()
     for number in range(25):
@@ -209,18 +191,6 @@ def test_a_file_of_another_map_that_is_read_is_noticed(
         monkeypatch.setattr(Map, "checked", lambda _, value, *_names: value)
     assert found[0] == set()
     assert "foreign file" in found[1]
-
-
-def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
-    cut = [
-        case
-        for case in (case_of(seeds, SEED, number) for number in range(2000))
-        if isinstance(case, LogCase) and len(case.notes) == 1 and "taken out" in case.notes[0]
-    ]
-    excused = {case.name.split()[0] for case in cut if case.excused}
-    held = {case.name.split()[0] for case in cut if not case.excused}
-    assert excused == {"mcap-bare", "mcap-unindexed"}
-    assert held >= {"mcap-zstd", "mcap-plain", "mcap-unchunked", "bag", "bag-active"}
 
 
 def test_a_case_can_be_kept_and_is_told(

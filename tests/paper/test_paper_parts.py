@@ -5,7 +5,6 @@ import importlib.util
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -15,29 +14,24 @@ import typer
 
 from benchmarks.paper import (
     blocks,
-    cost,
     figure1,
     figure2,
     figure3,
     figure6,
     ring,
     room_hallway,
-    table1,
     table2,
     topology,
 )
 from benchmarks.paper.__main__ import main
-from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words, figure
+from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words
 from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases, Drawing, cases, tour
-from benchmarks.paper.charts import drawn, ticks
 from benchmarks.paper.first_return import first_return
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS
-from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, Workshop
 from benchmarks.real.closure_truth import judged, true_poses
 from specmap_cli.cli.app import app
-from specmap_cli.evaluation.protocols import HoldOut
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.worlds import RoomTruth
@@ -141,30 +135,6 @@ def test_figure_5c_sees_only_borders_of_hallways(workshop: Workshop) -> None:
     assert words.warning
 
 
-def test_table_1_shares_out_all_votes(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table1, "ROUNDS", 10)
-    papers, ours = tables(table1.make(workshop))
-    numbers = [row.cells[0].partition(".")[0] for row in papers.rows[:12]]
-    assert numbers == [str(number) for number in range(1, 13)]
-    for table in (papers, ours):
-        for column in (2, 3):
-            shares = [float(row.cells[column].split()[0]) for row in table.rows[:-1]]
-            assert sum(shares) == pytest.approx(100.0, abs=0.7)
-
-
-def test_nothing_is_learned_from_columns_taken_away_nor_without_submap(workshop: Workshop) -> None:
-    built = workshop.built(workshop.cases.found[0], OURS, HoldOut(seed=0))
-    train, test = samples_of(built, "table1")
-    config = the_papers(rounds=5)
-    assert scored(fitted(train, config), test).recall > 0.5
-    blind = fitted(train.without(list(range(train.X.shape[1]))), config)
-    assert scored(blind, test).recall == pytest.approx(1.0 / len(blind.classes_))
-    assert (train.without([3]).X[:, 3] == 0.0).all()
-    assert (train.X[:, 3] != 0.0).any()
-    some = Samples(np.array([[0.0] * 52, [1.0] * 52, [5.0] * 52]), np.array([0, 1, -1]))
-    assert fitted(some, config).classes_ == (0, 1)
-
-
 def test_table_2_stands_beside_the_published_figures(workshop: Workshop) -> None:
     (table,) = tables(table2.make(workshop))
     assert [row.cells[3:7] for row in table.rows if row.published] == [
@@ -199,16 +169,6 @@ def test_without_data_all_is_simulated(tmp_path: Path, monkeypatch: pytest.Monke
     with_one = cases(tmp_path)
     assert with_one.missing == ("mit_csail", "plans")
     assert with_one.found[0].name == "fr079, real"
-
-
-def test_the_cost_grows_with_the_submaps() -> None:
-    _, chart, table = cost.blocks({PAPER: 4, OURS: 4}, {PAPER: (2,), OURS: (2, 3)})
-    assert isinstance(chart, Chart)
-    assert isinstance(table, Table)
-    assert [len(series.points) for series in chart.series] == [4, 4]
-    for series in chart.series:
-        assert all(a[1] <= b[1] for a, b in pairwise(series.points))
-    assert [row.cells[1] for row in table.rows] == ["2", "2", "3"]
 
 
 def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
@@ -284,16 +244,3 @@ def test_every_part_of_the_paper_is_there_and_its_commands_exist(
             assert {word for word in words if word.startswith("-")} <= options, command
         else:
             assert importlib.util.find_spec(words[2]) is not None, command
-
-
-def test_a_chart_is_drawn_to_scale_with_round_ticks_and_no_figure_is_a_dash() -> None:
-    at = drawn(blocks.Chart([blocks.Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
-    (line,) = at.lines
-    assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
-    assert line.level is None
-    assert [tick.text for tick in at.up] == ["0", "0.5", "1", "1.5", "2"]
-    assert at.across[-1].at == at.right
-    assert ticks(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
-    assert ticks(160) == [0.0, 50.0, 100.0, 150.0]
-    assert figure(float("nan")) == "–"
-    assert figure(0.12345) == "0.123"

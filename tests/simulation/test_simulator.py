@@ -1,7 +1,6 @@
 """The simulator: its lasers, planar and 3D, its odometry, its options, and tours of all of them."""
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -130,36 +129,6 @@ def test_calibration_errors_scale_way_and_turns() -> None:
     assert veering[-1, 2] == pytest.approx(0.04)
 
 
-@pytest.mark.parametrize(
-    ("degrees", "beams", "full"),
-    [(360, 8, True), (360, 541, True), (359, 541, False), (270, 541, False), (10, 8, False)],
-)
-def test_only_the_whole_circle_is_a_full_circle(degrees: float, beams: int, full: bool) -> None:
-    laser = laser_of(np.radians(degrees), beams)
-    assert laser.full_circle is full
-    assert len(np.unique(np.round(np.exp(1j * laser.bearings), 9))) == beams
-    np.testing.assert_allclose(np.diff(laser.bearings), laser.increment)
-
-
-def test_no_noise_makes_a_range_negative_or_zero(hall: World) -> None:
-    corner = Drive(np.zeros(1), np.array([[LEFT + 0.03, BOTTOM + 0.03, 0.0]]))
-    ranges = measure(laser_of(2 * np.pi, 90, noise_m=0.5), hall, 10, corner)
-    assert ranges.min() == np.float32(0.02)
-    assert (ranges == np.float32(0.02)).mean() > 0.2
-
-
-def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
-    """They are cast in batches, of which no scan must know."""
-    turning = Drive(np.array([0.0, 20.0]), np.array([[2.0, 1.5, 0.0], [5.0, 3.5, 9.0]]))
-    laser, times = laser_of(np.pi, 19), np.arange(0.0, 20.0, 0.1)
-    rng = np.random.default_rng(RNG_SEED)
-    together = list(laser.scans(hall, turning, times, rng))
-    assert len(together) == len(times)
-    for k in (0, 63, 64, 65, 128, 199):
-        (alone,) = laser.scans(hall, turning, times[k : k + 1], rng)
-        np.testing.assert_array_equal(together[k], alone)
-
-
 def lidar_of(rings: int = 9, **changes: Any) -> Lidar:
     """A lidar of 60 columns and 80 degrees up and down, without errors unless told otherwise."""
     level = laser_of(2 * np.pi, 60, **changes)
@@ -204,15 +173,6 @@ def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
         assert (pose, sweep.odom_from_base) == (pose_again, again.odom_from_base)
 
 
-def test_stamps_are_whole_microseconds_at_the_rate(flat: GridMap) -> None:
-    sweeps = [sweep for sweep, _ in simulated_tour(flat, brief(rate_hz=3)).scans()]
-    assert [sweep.index for sweep in sweeps] == list(range(16))
-    assert sweeps[0].stamp_ns == simulator.START_NS == simulator.stamp_of(0.0)
-    for before, after in pairwise(sweep.stamp_ns for sweep in sweeps):
-        assert after % 1000 == 0
-        assert abs(after - before - 10**9 / 3) <= 1000
-
-
 @pytest.mark.parametrize(("longest", "scans"), [(0.01, 1), (0.25, 2), (3.0, 13), (None, 0)])
 def test_a_longest_duration_ends_the_recording_else_the_tour_does(
     flat: GridMap, longest: float | None, scans: int
@@ -224,15 +184,6 @@ def test_a_longest_duration_ends_the_recording_else_the_tour_does(
     else:
         assert tour.truth.duration_s - 0.25 < tour.duration_s <= tour.truth.duration_s
         assert tour.distance_m == pytest.approx(path_length(tour.truth.poses), rel=0.02)
-
-
-@pytest.mark.parametrize("rate", [0.5, 7.0, 200.0])
-def test_odometry_begins_before_and_ends_after_the_scans(flat: GridMap, rate: float) -> None:
-    tour = simulated_tour(flat, brief(odometry_rate_hz=rate))
-    stamps = [stamp for stamp, _ in tour.odometry_messages()]
-    assert stamps[0] < simulator.START_NS
-    assert stamps[-1] >= simulator.stamp_of(tour.duration_s)
-    np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=1000)
 
 
 @pytest.mark.parametrize("sweep_s", [0.0, 0.2])

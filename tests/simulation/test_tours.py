@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
@@ -17,7 +16,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation import tours
 from specmap_cli.simulation.tours import drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World, read_rooms
-from tests.strategies import grid_maps, seeds
+from tests.strategies import seeds
 
 RADIUS, COMFORT = 0.25, 0.8
 SPEED, TURN_RATE, ACCELERATION = USUAL = (0.7, 1.2, 0.5)  # m/s, rad/s, m/s^2
@@ -92,21 +91,6 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
         assert tours.shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
 
 
-def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_walls() -> None:
-    cells = np.pad(np.full((80, 80), FREE, np.uint8), 1, constant_values=OCCUPIED)
-    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
-    found = shortest_path(space.lengths, indices=0)
-    across = np.abs(space.points - space.points[0]) / 0.1
-    steps = 0.1 * (across.max(axis=1) + (np.sqrt(2.0) - 1.0) * across.min(axis=1))
-    np.testing.assert_allclose(found, steps, atol=1e-9)
-    ratio = space.costs.data / space.lengths.data
-    assert ratio.max() <= 1.0 + 4.0
-    edges = space.costs.tocoo()
-    roomy = np.minimum(space.comfort[edges.row], space.comfort[edges.col]) == 1.0
-    np.testing.assert_allclose(ratio[roomy], 1.0)
-    assert (ratio[~roomy] > 1.0).all()
-
-
 def winding(seed: int, points: int, step_m: float) -> FloatArray:
     """A path (N, 2) of equal steps whose heading wanders, now and then by a sharp corner."""
     rng = np.random.default_rng(seed)
@@ -166,23 +150,6 @@ def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_afte
     np.testing.assert_allclose(ends[:, 2], np.pi / 4)
 
 
-@given(grid_maps(largest=12))
-def test_what_is_not_free_is_a_wall_and_clearance_is_to_the_nearest_one(plan: GridMap) -> None:
-    """Against every wall, one by one; what is off the plan is a wall, too."""
-    before = plan.cells.copy()
-    world = World.of(plan)
-    np.testing.assert_array_equal(world.plan.cells, np.where(before == FREE, FREE, OCCUPIED))
-    np.testing.assert_array_equal(world.distance, world.plan.obstacle_distance())
-    np.testing.assert_array_equal(plan.cells, before)
-    height, width = plan.cells.shape
-    walls = np.argwhere(~np.pad(plan.free, 1)) - 1
-    everywhere = np.argwhere(np.ones((height, width), dtype=bool))
-    gaps = np.linalg.norm(everywhere[:, None] - walls[None], axis=2).min(axis=1)
-    expected = np.maximum(gaps * plan.resolution - 0.5 * plan.resolution, 0.0)
-    expected[~plan.free.reshape(-1)] = 0.0
-    np.testing.assert_allclose(world.clearance_at(plan.centres_of(everywhere)), expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("kind", [str, Path])
 def test_rooms_are_the_large_white_regions_of_a_picture(tmp_path: Path, kind: type) -> None:
     picture = np.zeros((60, 100), dtype=np.uint8)
@@ -199,26 +166,6 @@ def test_rooms_are_the_large_white_regions_of_a_picture(tmp_path: Path, kind: ty
     coloured[35:55, 50:95] = (255, 0, 0)  # read by its brightness
     cv2.imwrite(str(tmp_path / "rooms.png"), coloured)
     assert read_rooms(tmp_path / "rooms.png", 0.1).count == 1
-
-
-@given(seeds, st.integers(1, 12), st.integers(1, 12))
-def test_a_point_is_in_the_room_of_the_nearest_cell(seed: int, height: int, width: int) -> None:
-    """Against every painted cell, one by one; of rooms equally near either will do."""
-    rng = np.random.default_rng(seed)
-    labels = rng.choice([0, 0, 0, 1, 2], size=(height, width)).astype(np.int32)
-    labels[rng.integers(height), rng.integers(width)] = 3
-    rooms = RoomTruth(labels, 0.5, (-2.0, 1.0))
-    rows, columns = np.divmod(np.arange(height * width), width)
-    centres = np.column_stack([columns, rows]) * 0.5 + (-1.75, 1.25)
-    painted = np.flatnonzero(labels)
-    away, _ = cKDTree(centres[painted]).query(centres)
-    found = rooms.at(centres, reach_m=100.0)
-    for k, room in enumerate(found.tolist()):
-        own = centres[painted[labels.reshape(-1)[painted] == room]]
-        nearest = np.linalg.norm(own - centres[k], axis=1).min()
-        assert nearest <= 1.05 * away[k] + 1e-9  # OpenCV's mask of 5 is right to some percent
-    np.testing.assert_array_equal(found[painted], labels.reshape(-1)[painted])
-    np.testing.assert_array_equal(rooms.at(centres, reach_m=0.0), labels.reshape(-1))
 
 
 def test_points_beside_the_picture_are_measured_from_its_border_up_to_half_a_metre() -> None:
