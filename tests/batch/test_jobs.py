@@ -217,6 +217,29 @@ def test_what_a_file_of_jobs_says_wrong_has_its_place(lay: Lay, text: str, compl
     assert str(told.value).startswith(str(where))
 
 
+def test_the_command_line_says_what_options_take() -> None:
+    assert set(KNOWN) == set(COMMANDS)
+    assert KNOWN["localize"]["output"].names == ("out", "output")
+    said = {"out", "output", "confusion", "trajectory"}  # by the batch itself
+    found = {
+        f"{command} {name}": option.meaning
+        for command in COMMANDS
+        for name, option in KNOWN[command].items()
+        if option.meaning in ("input", "output") and name not in said
+    }
+    inputs = [
+        *("build like", "build config", "localize map", "localize config", "export config"),
+        *(f"evaluate {name}" for name in ("relations", "reference", "rooms", "config")),
+        *("report compare", "report config", "check rules", "check against", "check config"),
+    ]
+    outputs = ("build explain", "localize plot", "check junit", "check markdown")
+    assert found == {**dict.fromkeys(inputs, "input"), **dict.fromkeys(outputs, "output")}
+    several = {name for known in KNOWN.values() for name in known if known[name].several}
+    assert several == {"set", "reference", "rooms"}
+    flags = {name for name, option in KNOWN["build"].items() if option.meaning == "flag"}
+    assert flags == {"no-relax", "overwrite", "no-odometry", "quiet", "json"}
+
+
 def test_every_export_of_ours_has_the_suffix_that_its_programs_know() -> None:
     assert set(SUFFIXES) == set(exporters())
     assert set(typing.get_args(typing.get_type_hints(Step)["command"])) == set(COMMANDS)

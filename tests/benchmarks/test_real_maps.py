@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.localized import Localized, judged, scored
-from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, thinned
+from benchmarks.localized import Localized, judged, nearest, scored
+from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
 from benchmarks.real.reliability import Told, line, reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
@@ -130,3 +130,11 @@ def test_labels_without_a_truth_are_left_out() -> None:
     assert told.single_right.tolist() == [True, True, False]
     assert told.filtered_right.tolist() == [True, False, True]
     assert "     3 |       0.667, 0.133 |         0.667, 0.267" in line("a recording", told)
+
+
+def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
+    for axis in (0, 2):
+        way = np.arange(0, 2, 0.1)[:, None] * np.eye(3)[axis]
+        assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
+    rows = nearest(np.array([0, 10, 20]), np.array([-5, 4, 6, 14, 16, 99]))  # of stamps
+    assert rows.tolist() == [0, 0, 1, 1, 2, 2]

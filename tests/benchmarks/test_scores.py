@@ -155,3 +155,12 @@ def test_rooms_that_share_a_region_are_counted_and_plans_and_robots_the_same_by_
     robots, same, others = ([robot(k, n) for n in range(8)] for k in ("ring", "ring", "hall"))
     assert robots == same != others
     assert len({(o.field_of_view_deg, o.beams, o.range_max_m, o.noise_m) for o in robots}) > 5
+
+
+def test_keyframes_outside_the_rooms_or_in_no_submap_are_left_out() -> None:
+    truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)
+    places = np.array([[0.5, 0.5], [9.0, 9.0], [1.5, 0.5], [1.5, 0.5], [-7.0, 0.5]])
+    with_strays = map_scores(truth, places, np.array([0, 4, 1, -1, 5]))
+    without = map_scores(truth, places[[0, 2]], np.array([0, 1]))
+    assert with_strays == without
+    assert without.purity == 1.0

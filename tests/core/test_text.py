@@ -7,6 +7,7 @@ import math
 import re
 from dataclasses import dataclass
 from typing import Annotated, Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,9 +20,11 @@ from specmap_cli.core import json_values
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.json_values import Count, Measured, Number, Value, runs_of
 from specmap_cli.core.text import (
+    Case,
     counted,
     csv_text,
     decimal,
+    junit,
     legible,
     markdown_table,
     markdown_text,
@@ -209,6 +212,24 @@ def test_markdown_keeps_its_columns() -> None:
         "| a\\|b | 1 |",
         "| \\*c\\*\\\\n |  |",
     ]
+
+
+def test_junit_counts_its_cases() -> None:
+    cases = [
+        Case(name="good", seconds=1.5),
+        Case(name="bad", seconds=0.25, failure="no\x00thing", kind="Sad", detail="because"),
+        Case(name="later", seconds=0.0, skipped=True),
+    ]
+    (suite,) = ElementTree.fromstring(junit("all", "group", cases))
+    counts = {"tests": "3", "failures": "1", "errors": "0", "skipped": "1"}
+    assert suite.attrib == {"name": "all", **counts, "time": "1.750"}
+    assert [case.get("classname") for case in suite] == ["group"] * 3
+    failure = suite.find("testcase[@name='bad']/failure")
+    assert failure is not None
+    assert failure.attrib == {"message": "no\\x00thing", "type": "Sad"}
+    assert failure.text == "because"
+    assert suite.find("testcase[@name='later']/skipped") is not None
+    assert "time" not in ElementTree.fromstring(junit("all", "x", [Case(name="a")]))[0].attrib
 
 
 _NO_YAML = [b"a: [1", b"a: b: c", b"a\n---\nb", b"{a, b: ]", b"? [1]\n: 2"]

@@ -139,3 +139,28 @@ def test_every_symbol_fits_its_place_in_the_legend(words: str) -> None:
     assert right - left >= 8
     assert abs(left + right - 120) <= 6
     assert abs(top + bottom - 80) <= 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour", "strokes"),
+    [
+        ("traversed", palette.TRAVERSED, 1),
+        ("doorway", palette.TRAVERSED, 1),
+        ("closure", palette.CLOSURE, 8),
+        ("loose", palette.LOOSE, 17),
+        ("seen", palette.TRAVERSED, 16),
+        ("narrow", palette.TRAVERSED, 17),
+    ],
+)
+def test_the_lines_of_links(kind: symbols.LinkKind, colour: palette.Colour, strokes: int) -> None:
+    canvas = Canvas(240, 40, palette.SHADE)
+    symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
+    along = of_colour(canvas.image, colour, 60)[20]
+    assert np.count_nonzero(np.diff(along.astype(int)) == 1) == strokes
+    assert near(canvas.image, colour) > 100
+    others = {palette.TRAVERSED, palette.CLOSURE, palette.LOOSE} - {colour}
+    assert not any(near(canvas.image, other) for other in others)
+    if strokes < 10:  # paper sets it off from the ground
+        rows = np.flatnonzero(of_colour(canvas.image, palette.PAPER, 8)[:, 24])
+        assert rows.min() < 19
+        assert rows.max() > 21

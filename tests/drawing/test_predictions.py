@@ -64,6 +64,13 @@ def test_wrong_ones_are_marked_as_long_as_they_are_and_unknown_ones_are_not_wron
     assert marks[2] - marks[1] == pytest.approx(30 / 119 * 1500, rel=0.05)
 
 
+def test_unknown_scans_are_rings() -> None:
+    known, some, none = along(4, 4), along(4, NO_SUBMAP), along(NO_SUBMAP)
+    assert near(known, palette.INK) < near(some, palette.INK) < near(none, palette.INK)
+    line = palette.vivid(palette.FILLS[4])
+    assert near(known, line) > 1.5 * near(some, line) > near(none, line) == 0
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_places(count: int) -> None:
     labels = np.zeros(count, dtype=np.int64)
@@ -118,6 +125,18 @@ def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     wrong = blue, green, red = pixel(image, at[0, 1])
     assert wrong == paler((40, 24, 200), 0.792)
     assert red > max(blue, green) + 20
+
+
+@pytest.mark.parametrize("few", [1, 4, 5])
+def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
+    """0.1, 0.4 and 0.5 percent read `<1`: the letters lie on the same pixels."""
+    pictures = []
+    for count in (few, 2):
+        image = render_confusion(np.array([[1000 - count, count], [0, 1]]), "ab", "ab")
+        x, y = centres(image, 2, 2)[0, 1].tolist()
+        pictures.append(image[y - 8 : y + 56, x - 30 : x + 30].max(axis=-1) < 150)
+    assert pictures[0].any()
+    np.testing.assert_array_equal(pictures[0], pictures[1])
 
 
 @pytest.mark.parametrize("size", [0, 1, 12, 150])

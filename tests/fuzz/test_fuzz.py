@@ -243,3 +243,15 @@ def test_a_lost_name_is_noticed(
     faults, ends = try_pair(bench, ("edit", "check"), 0.0)
     assert ends == [0, 0]
     assert faults == ["lost: the name Kitchen"]
+
+
+def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
+    cut = [
+        case
+        for case in (case_of(seeds, SEED, number) for number in range(2000))
+        if isinstance(case, LogCase) and len(case.notes) == 1 and "taken out" in case.notes[0]
+    ]
+    excused = {case.name.split()[0] for case in cut if case.excused}
+    held = {case.name.split()[0] for case in cut if not case.excused}
+    assert excused == {"mcap-bare", "mcap-unindexed"}
+    assert held >= {"mcap-zstd", "mcap-plain", "mcap-unchunked", "bag", "bag-active"}

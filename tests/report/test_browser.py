@@ -54,6 +54,28 @@ def test_map_table_and_address_choose_and_show_one_submap(browser: Browser) -> N
         assert chosen(browser) == ["1"]
 
 
+def test_names_on_the_map_do_not_lie_on_one_another(browser: Browser) -> None:
+    """Of two that would the first is shown, and the one that is chosen."""
+    label = "document.createElementNS('http://www.w3.org/2000/svg', 'text')"
+    browser.run(
+        "all('.badge .name').forEach((each) => each.remove());"
+        f"all('.badge').forEach((badge) => {{ const name = {label};"
+        "name.classList.add('name'); name.setAttribute('y', 22);"
+        "name.textContent = 'a long name '.repeat(9); badge.append(name); });"
+        "redraw()"
+    )
+    shown = (
+        "all('.badge .name').filter((each) => getComputedStyle(each).visibility === 'visible')"
+        ".map((each) => each.parentNode.dataset.submap)"
+    )
+    count = browser.run("all('.badge').length")
+    before = browser.run(shown)
+    assert 0 < len(before) < count
+    hidden = next(each for each in map(str, range(count)) if each not in before)
+    browser.click(*middle(browser, f".badge[data-submap='{hidden}'] circle"))
+    assert hidden in browser.run(shown)
+
+
 def test_the_table_sorts_both_ways(browser: Browser, flat_map: Map) -> None:
     areas = {str(node.id): node.area_m2 for node in flat_map.record.nodes}
     press = "all('#submaps thead button')[3].click()"

@@ -213,3 +213,10 @@ def test_not_all_tests_and_closures_are_drawn(house: Map, evidence: Evidence, re
     assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
     said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"
     assert any(said in text for text in read.texts)
+
+
+def test_words_in_tables_are_not_broken_in_the_middle(page: str) -> None:
+    """A long name made the column beside it so narrow that `room` stood as `roo` over `m`."""
+    assert re.search(r"\bbody \{[^}]*overflow-wrap: anywhere", page)
+    assert re.search(r"\btable \{[^}]*overflow-wrap: normal", page)
+    assert re.search(r"\.sortable :is\(th, td\) \{[^}]*white-space: nowrap", page)

@@ -224,3 +224,24 @@ def test_only_a_lidar_must_stand_below_the_ceiling(flat: GridMap) -> None:
     lidar = simulated_tour(flat, brief(rings=4, vertical_fov_deg=30.0)).lidar
     assert lidar is not None
     np.testing.assert_allclose(np.degrees(lidar.elevations), [-15, -5, 5, 15])
+
+
+def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
+    """They are cast in batches, of which no scan must know."""
+    turning = Drive(np.array([0.0, 20.0]), np.array([[2.0, 1.5, 0.0], [5.0, 3.5, 9.0]]))
+    laser, times = laser_of(np.pi, 19), np.arange(0.0, 20.0, 0.1)
+    rng = np.random.default_rng(RNG_SEED)
+    together = list(laser.scans(hall, turning, times, rng))
+    assert len(together) == len(times)
+    for k in (0, 63, 64, 65, 128, 199):
+        (alone,) = laser.scans(hall, turning, times[k : k + 1], rng)
+        np.testing.assert_array_equal(together[k], alone)
+
+
+@pytest.mark.parametrize("rate", [0.5, 7.0, 200.0])
+def test_odometry_begins_before_and_ends_after_the_scans(flat: GridMap, rate: float) -> None:
+    tour = simulated_tour(flat, brief(odometry_rate_hz=rate))
+    stamps = [stamp for stamp, _ in tour.odometry_messages()]
+    assert stamps[0] < simulator.START_NS
+    assert stamps[-1] >= simulator.stamp_of(tour.duration_s)
+    np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=1000)
